@@ -1,12 +1,12 @@
 //! Curves of error against time: read from run folders or CSV files of other programs, and compared in a table.
 
-use crate::report::svg::{Line, Point};
 use crate::terminal;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use trimip::run::curve::{Evaluated, curve, parse};
 use trimip::{Error, Result, run::history::History};
 use trimip_core::text;
+use trimip_report::svg::{Line, Point};
 
 pub use trimip::run::curve::Measure;
 

@@ -16,7 +16,6 @@ mod measures;
 mod mistake;
 mod progress;
 mod ranks;
-mod report;
 mod settings;
 mod terminal;
 mod verbs;

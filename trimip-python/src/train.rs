@@ -74,6 +74,12 @@ impl Run {
         text::markdown(&self.recorded.report())
     }
 
+    /// Writes the report again, as after training: report.html with its pictures, report.json, tables. The path of report.html.
+    fn report(&self, py: Python<'_>) -> PyResult<PathBuf> {
+        py.detach(|| trimip_report::write(&self.recorded)).map_err(raised)?;
+        Ok(self.recorded.folder.html())
+    }
+
     /// The trained model.
     fn model(&self, py: Python<'_>) -> PyResult<Model> {
         let model = py.detach(|| trimip::read_model(self.recorded.folder.root())).map_err(raised)?;
@@ -132,8 +138,7 @@ fn given(
 /// `config` is a dictionary of settings or the path of a configuration file, `settings` a dictionary over it, `system` one of
 /// `systems()`; `out` is `runs/<name>` without. `callback` gets every event as a dictionary; if it returns False, the run
 /// stops after the step and saves. So does Ctrl-C, which then raises KeyboardInterrupt; an exception of the callback does too.
-/// The same call resumes with the same bits. The folder has the same files as the program's, but report.html: `trimip-cli` writes that,
-/// if it is called on the folder with the same settings.
+/// The same call resumes with the same bits. The folder has the same files as the program's.
 #[pyfunction]
 #[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -172,7 +177,7 @@ pub fn train(
         let listeners = Listeners { events: &mut events, reading: &reading, observer: &mut (), stop: &stop };
         let trained = Training::new(settings, &out).fresh(fresh).run_with(listeners)?;
         let recorded = Recorded::of(&trained);
-        let written = recorded.report().write(&recorded.folder);
+        let written = trimip_report::write(&recorded);
         let ended = trained.outcome.clone()?;
         written?;
         if let Some(error) = &trained.unwritten {

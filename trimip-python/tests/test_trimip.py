@@ -89,8 +89,11 @@ def test_a_run_has_the_files_of_the_program_and_is_opened_again(trained, cli, tm
     assert again.to_markdown() == (run.folder / "report.md").read_text()
     assert "tabular" in again.to_latex() and f"{run.evaluations[-1]['psnr']:.2f} dB" in again.verdict
     assert np.array_equal(again.model().render(camera()).color, run.model().render(camera()).color)
-    for name in ("report.json", "metrics.csv", "error_vs_time.csv"):
+    for name in ("report.html", "report.json", "metrics.csv", "error_vs_time.csv"):
         assert (run.folder / name).stat().st_size > 0, name
+    page = (run.folder / "report.html").read_text()
+    (run.folder / "report.html").unlink()
+    assert again.report() == run.folder / "report.html" and (run.folder / "report.html").read_text() == page
     with pytest.raises(trimip.InputError, match="holds no run"):
         trimip.Run.load(tmp_path)
 

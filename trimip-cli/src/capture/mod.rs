@@ -20,9 +20,7 @@ mod unplaced;
 
 use crate::{
     args::{CaptureArguments, PosesProgram},
-    interrupt,
-    report::{self, inspect::UnplacedPicture},
-    settings,
+    interrupt, settings,
 };
 use decisions::Decisions;
 use display::Display;
@@ -41,6 +39,7 @@ use std::{
 };
 use trimip::{Error, Result, formatting::count};
 use trimip_data::unwatched;
+use trimip_report::inspect::UnplacedPicture;
 use unplaced::Unplaced;
 
 /// Pictures without a pose that are named in the terminal.
@@ -434,8 +433,8 @@ impl Capture<'_> {
                     .map(of_unplaced)
                     .chain(pictures.left_out.iter().map(of_left_out))
                     .collect();
-                let page = report::inspect::page_with(&seen, &all)?;
-                report::save(&path, &page)?;
+                let page = trimip_report::inspect::page_with(&seen, &all)?;
+                trimip_report::save(&path, &page)?;
                 Ok(Value::Null)
             },
         )?;

@@ -3,11 +3,11 @@
 
 use crate::args::CompareArguments;
 use crate::curves::{Curve, rows, table};
-use crate::report::beside::{self, Entry};
-use crate::report::svg::{self, Line};
-use crate::report::{page, save};
 use crate::terminal;
 use trimip_core::{Error, Result};
+use trimip_report::beside::{self, Entry};
+use trimip_report::svg::{self, Line};
+use trimip_report::{page, save};
 
 /// Maximum number of curves: one per colour.
 const MOST: usize = svg::COLORS.len();

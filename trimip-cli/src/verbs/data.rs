@@ -3,7 +3,7 @@
 use crate::{
     args::{DataAction, DataArguments, SettingsArguments},
     progress::by_rows,
-    report, settings, terminal,
+    settings, terminal,
 };
 use std::path::Path;
 use trimip::{Config, Result, Settings, inspect, run::folder as run_folder};
@@ -17,7 +17,7 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
             let seen = by_rows("reading photographs", |watch| inspect::inspect(settings, watch))?;
             seen.lines().iter().for_each(terminal::prose);
             if let Some(path) = html {
-                report::save(path, &report::inspect::page(&seen)?)?;
+                trimip_report::save(path, &trimip_report::inspect::page(&seen)?)?;
             }
         }
         DataAction::Multiscale { out, root, settings } => {

@@ -5,17 +5,15 @@ use crate::{
     interrupt,
     measures::table,
     progress::{Display, Reading},
-    ranks, report, settings, terminal,
+    ranks, settings, terminal,
 };
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
-use trimip::report::{Report, Status};
-use trimip::run::cameras::training_cameras;
-use trimip::view::{pictures, strip};
-use trimip::{Config, Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
-use trimip_core::{atomic::write_atomically, run::Observer, scene::origin::LocalOrigin};
+use std::time::Instant;
+use trimip::run::Recorded;
+use trimip::{Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
+use trimip_core::run::Observer;
 use trimip_view::LiveView;
 
 /// Trains with the given settings. All input is validated before any long work begins.
@@ -105,80 +103,38 @@ fn train_before(live_view: Option<LiveView>, training: Training, display: &Displ
 /// # Errors
 /// When the training failed, missed its quality floor, or could not be written.
 pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
-    let Trained { folder, scene, config, settings, history, .. } = trained;
-    let gather = |status| Report::gather(folder, status, scene, config, settings, history);
-    let status = match &trained.outcome {
-        Ok(Ended::Finished) => Status::Finished,
-        Ok(Ended::Stopped) => Status::Stopped,
-        Ok(Ended::Before) => return already_finished(trained, style, &gather),
-        Err(error) => Status::Failed(error.message.clone()),
+    let recorded = Recorded::of(trained);
+    let written = trimip_report::write(&recorded);
+    let ended = match &trained.outcome {
+        Ok(Ended::Before) => return written.and_then(|()| already_finished(trained, style)),
+        other => other,
     };
-    let drawn = if status == Status::Finished { show_around(folder, config) } else { Ok(()) };
-    let report = gather(status);
-    let written = drawn.and(report::write(&report, folder));
-    if let Some(last) = history.last() {
-        terminal::note(format!("verdict: {}", report.verdict().words()));
+    if let Some(last) = recorded.history.last() {
+        terminal::note(format!("verdict: {}", recorded.report().verdict().words()));
         if last.bounded {
             let measured = last.scales.iter().map(|scale| scale.images).max().unwrap_or(0);
             terminal::note(format!(
                 "measured on {measured} of {}, as many as eval.time_fraction had time for; trimip-cli eval {} measures all",
                 terminal::count(last.frames as u64, "test view"),
-                folder.root().display()
+                recorded.folder.root().display()
             ));
         }
     }
-    let ended = trained.outcome.clone()?;
+    let ended = ended.clone()?;
     written?;
     if let Some(error) = &trained.unwritten {
         return Err(error.clone());
     }
-    terminal::note(format!("report: {}", folder.html().display()));
+    terminal::note(format!("report: {}", recorded.folder.html().display()));
     let interrupted = interrupt::install()?.load(Ordering::Relaxed);
     Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
-/// Pixels along a side of each view of the strip in a report.
-const STRIP_SIDE: u32 = 192;
-
-/// A strip that takes longer is left out: views of some models take minutes.
-const STRIP_TIME: Duration = Duration::from_secs(20);
-
-/// Writes the strip of views of a finished model, unless it is there, or the run asks for no evaluation at its end. A report
-/// without it is complete.
-///
-/// # Errors
-/// When the model cannot be loaded or rendered, or the picture not written.
-fn show_around(folder: &RunFolder, config: &Config) -> Result<()> {
-    let path = folder.turntable();
-    if path.exists() || config.eval.images == 0 || config.eval.final_stride(1).is_none() {
-        return Ok(());
-    }
-    let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
-    // Without them the strip of a place is that of an object.
-    let photographed =
-        training_cameras(folder.root(), LocalOrigin::of(&config.data)).ok().flatten().unwrap_or_default();
-    let cameras = strip::cameras(&config.scene, &photographed, STRIP_SIDE)?;
-    let strip = strip::strip(&mut *viewer, &cameras, STRIP_SIDE, STRIP_TIME)?;
-    strip.map_or(Ok(()), |strip| write_atomically(&path, &pictures::png(strip)?))
-}
-
-/// Tells that the folder already holds this run, writes its report again, and returns its exit code. The report may be
-/// that of an earlier stop, of another floor, or half of one.
-fn already_finished<'a>(
-    trained: &'a Trained,
-    style: ProgressStyle,
-    gather: &dyn Fn(Status) -> Report<'a>,
-) -> Result<u8> {
-    let (folder, floor) = (&trained.folder, trained.judge());
-    let status =
-        floor.as_ref().map_or_else(|error| Status::Failed(error.message.clone()), |()| Status::Finished);
-    if status == Status::Finished {
-        show_around(folder, &trained.config)?;
-    }
-    report::write(&gather(status), folder)?;
+/// Tells that the folder already held this run, whose report may have been that of an earlier stop, of another floor, or half of one.
+fn already_finished(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let finished = vec![format!(
         "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",
-        folder.root().display(),
+        trained.folder.root().display(),
         terminal::count(trained.history.totals.step, "step")
     )];
     Display::new(style, false).show(&Event::Plan {
@@ -189,5 +145,5 @@ fn already_finished<'a>(
     if let Some(last) = trained.history.last().filter(|_| terminal::watched()) {
         table(&last.scales).iter().for_each(terminal::prose);
     }
-    floor.map(|()| 0)
+    trained.judge().map(|()| 0)
 }

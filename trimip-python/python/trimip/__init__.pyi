@@ -224,6 +224,8 @@ class Run:
         """The measures per scale as a LaTeX tabular, as in report.tex."""
     def to_markdown(self) -> str:
         """The same as Markdown, as in report.md."""
+    def report(self) -> Path:
+        """Writes the report again, as after training; the path of report.html."""
     def model(self) -> Model:
         """The trained model."""
 

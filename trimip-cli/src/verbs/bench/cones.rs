@@ -5,7 +5,6 @@
 use crate::args::BenchArguments;
 use crate::curves::aligned;
 use crate::progress::spinner;
-use crate::report::svg::{self, Line, Point};
 use crate::terminal;
 use serde::Serialize;
 use serde_json::json;
@@ -22,6 +21,7 @@ use trimip_core::measures::metrics::psnr;
 use trimip_core::run::evaluate::compared;
 use trimip_core::scene::cones::{Division, PixelPattern};
 use trimip_core::{Error, Frame, Result, ViewSet, Viewer};
+use trimip_report::svg::{self, Line, Point};
 
 /// Cones along a side of a pixel, besides the model's own numbers; the most cones are the reference.
 const SIDES: [u32; 4] = [1, 2, 4, 8];

@@ -2,14 +2,14 @@
 
 use super::results::{Bench, VariantRow, cells};
 use crate::curves::reach_json;
-use crate::report::beside::{self, Entry};
-use crate::report::{page, svg};
 use crate::terminal;
 use serde_json::{Value, json};
 use trimip::machine::{Machine, version};
 use trimip::report::latex::tabular;
 use trimip::{Config, Error, Result};
 use trimip_core::atomic::write_atomically;
+use trimip_report::beside::{self, Entry};
+use trimip_report::{page, svg};
 
 /// Writes all files; `lines` are the curves of all runs, by variant.
 pub fn write(bench: &Bench, rows: &[VariantRow], lines: &[svg::Line]) -> Result<()> {

@@ -7,7 +7,6 @@ pub use super::results::{Bench, Variant, VariantRow, cells};
 use crate::args::{BenchArguments, ProgressStyle};
 use crate::curves::{Curve, Measure, Reach, aligned};
 use crate::interrupt::EXIT_CODE;
-use crate::report::svg;
 use crate::{
     ranks, settings, terminal,
     verbs::{jobs, train},
@@ -20,6 +19,7 @@ use trimip::run::folder as run_folder;
 use trimip::{Config, Error, Result, Settings, Trained, Training};
 use trimip_core::engine::exchange::Ranks;
 use trimip_data::settings::DataConfig;
+use trimip_report::svg;
 
 /// Result of a run.
 struct Outcome {

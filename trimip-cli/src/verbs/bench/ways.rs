@@ -6,8 +6,6 @@ use super::training::{Variant, tried};
 use crate::args::BenchArguments;
 use crate::curves::aligned;
 use crate::progress::spinner;
-use crate::report::page;
-use crate::report::svg::{self, Line, Point};
 use crate::terminal;
 use serde::Serialize;
 use serde_json::json;
@@ -25,6 +23,8 @@ use trimip_core::field::model::{Model, assets};
 use trimip_core::measures::metrics::psnr;
 use trimip_core::run::evaluate::compared;
 use trimip_core::{Error, Result, Viewer};
+use trimip_report::page;
+use trimip_report::svg::{self, Line, Point};
 
 /// The steps of converged volume rendering are this much shorter than the model's.
 const SHORTER: u32 = 4;

@@ -8,7 +8,6 @@ mod request;
 use crate::args::{PaperArguments, ProgressStyle};
 use crate::curves::aligned;
 use crate::interrupt;
-use crate::report::{paper as page, save};
 use crate::{
     ranks, terminal,
     verbs::{jobs, train},
@@ -20,6 +19,7 @@ use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 use trimip_core::engine::exchange::Ranks;
+use trimip_report::{paper as page, save};
 
 /// Trains what is not trained yet, and writes the pages.
 pub fn run(arguments: &PaperArguments) -> Result<u8> {

@@ -2,7 +2,7 @@
 //! published figures.
 
 use super::look::mark;
-use crate::report::page::escape;
+use crate::page::escape;
 use trimip::paper::{
     Comparison, Scales, TableRow, columns, published_caption, published_cells, published_columns,
 };

@@ -2,8 +2,8 @@
 
 use super::page::{escape, pairs, plot, table};
 use super::{page, pictures, settings, svg};
-use crate::terminal;
 use std::path::Path;
+use trimip::formatting;
 use trimip::report::{Report, Status, text};
 use trimip::{machine, run::provenance, view::PIXELS_PER_DEGREE};
 use trimip_core::measures::metrics::LEAST_SIDE;
@@ -49,10 +49,10 @@ fn head(report: &Report<'_>) -> String {
             tiles.push((format!("{flip:.4}"), "mean FLIP"));
         }
     }
-    tiles.push((terminal::duration(totals.seconds), "training time"));
-    tiles.push((terminal::number(totals.samples as f64, ""), "samples"));
+    tiles.push((formatting::duration(totals.seconds), "training time"));
+    tiles.push((formatting::number(totals.samples as f64, ""), "samples"));
     tiles.push((
-        report.samples_per_second().map_or_else(unknown, |rate| terminal::number(rate, "")),
+        report.samples_per_second().map_or_else(unknown, |rate| formatting::number(rate, "")),
         "samples / s",
     ));
     let kept = totals.samples_per_ray().map_or_else(unknown, |kept| format!("{kept:.1}"));
@@ -60,10 +60,10 @@ fn head(report: &Report<'_>) -> String {
     if let Some(fraction) = totals.backward_fraction().filter(|fraction| *fraction < 1.0) {
         tiles.push((format!("{:.0} %", 100.0 * fraction), "with a backward pass"));
     }
-    let rays = totals.rays_per_second().map_or_else(unknown, |rate| terminal::number(rate, ""));
+    let rays = totals.rays_per_second().map_or_else(unknown, |rate| formatting::number(rate, ""));
     tiles.push((rays, "rays / s"));
-    tiles.push((report.history.peak_memory_bytes().map_or_else(unknown, terminal::bytes), "peak memory"));
-    tiles.push((report.model_bytes.map_or("not yet".into(), terminal::bytes), "model file"));
+    tiles.push((report.history.peak_memory_bytes().map_or_else(unknown, formatting::bytes), "peak memory"));
+    tiles.push((report.model_bytes.map_or("not yet".into(), formatting::bytes), "model file"));
     let tiles: String =
         tiles.iter().map(|(value, name)| format!("<div><b>{value}</b><span>{name}</span></div>")).collect();
     let encoder = encoders::of(report.config).describe(report.config);
@@ -148,7 +148,7 @@ fn curve(report: &Report<'_>) -> String {
             0 => "eval.points = 0 measures no test view on the way".to_string(),
             _ => format!(
                 "test views were measured {} on the way, as many as eval.time_fraction had time for",
-                terminal::count(curve.len() as u64, "time")
+                formatting::count(curve.len() as u64, "time")
             ),
         };
         return format!(
@@ -195,18 +195,18 @@ fn course(report: &Report<'_>) -> String {
     let totals = &history.totals;
     let unknown = || "unknown".to_string();
     let wall: f64 = history.parts.iter().map(|part| part.wall_seconds).sum();
-    let count = |value: u64| terminal::number(value as f64, "");
+    let count = |value: u64| formatting::number(value as f64, "");
     let per = |value: u64| format!("{:.1}", value as f64 / totals.rays.max(1) as f64);
     let predicted = match report.config.backend.as_str() {
         "cpu" => "memory predicted",
         _ => "memory of the device, predicted",
     };
     let run = [
-        ("training", terminal::duration(totals.seconds)),
-        ("evaluation", terminal::duration(history.evaluation_seconds())),
+        ("training", formatting::duration(totals.seconds)),
+        ("evaluation", formatting::duration(history.evaluation_seconds())),
         (
             "wall time, everything",
-            format!("{} in {}", terminal::duration(wall), sessions(history.parts.len())),
+            format!("{} in {}", formatting::duration(wall), sessions(history.parts.len())),
         ),
         ("rays", count(totals.rays)),
         ("samples kept", format!("{} ({} per ray)", count(totals.samples), per(totals.samples))),
@@ -214,8 +214,8 @@ fn course(report: &Report<'_>) -> String {
         ("occupied cells", format!("{:.2} %", 100.0 * history.training.occupied)),
         ("empty batches", totals.empty_batches.to_string()),
         ("non-finite values", totals.non_finite.to_string()),
-        (predicted, history.predicted_memory_bytes.map_or_else(unknown, terminal::bytes)),
-        ("memory used at most", history.peak_memory_bytes().map_or_else(unknown, terminal::bytes)),
+        (predicted, history.predicted_memory_bytes.map_or_else(unknown, formatting::bytes)),
+        ("memory used at most", history.peak_memory_bytes().map_or_else(unknown, formatting::bytes)),
     ];
     let threads = match report.config.threads {
         0 => "all".to_string(),
@@ -226,7 +226,7 @@ fn course(report: &Report<'_>) -> String {
         ("processor", machine.cpu.clone()),
         ("cores", format!("{} (threads used: {threads})", machine.cores)),
         ("instruction sets", machine.simd.join(", ")),
-        ("memory", machine.memory_total_bytes.map_or_else(unknown, terminal::bytes)),
+        ("memory", machine.memory_total_bytes.map_or_else(unknown, formatting::bytes)),
         ("system", machine.os.clone()),
         ("version", format!("trimip-cli {}", machine::version())),
     ];

@@ -1,5 +1,7 @@
-//! The program's pages: the report of a run, one self-contained HTML file, the page of an inspected capture, and the parts
-//! they share with the pages of `bench`, `compare` and `paper`.
+//! Pages, one self-contained HTML file each: the report of a run, an inspected capture, compared runs and systems, and the parts
+//! that they share with the pages of other programs.
+
+#![forbid(unsafe_code)]
 
 pub mod beside;
 mod difference;
@@ -11,18 +13,25 @@ pub mod paper;
 mod pictures;
 mod settings;
 pub mod svg;
+mod turntable;
 
 use std::path::Path;
-use trimip::{Error, Result, RunFolder, report::Report};
+use trimip::{Error, Result, report::Status, run::Recorded};
 use trimip_core::atomic::write_atomically;
 
-/// Writes all files of the report, the page last.
+/// Writes all files of a run's report, the page last. A finished run gets its strip of views first.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write(report: &Report<'_>, folder: &RunFolder) -> Result<()> {
+/// When the strip cannot be rendered or a file not written.
+pub fn write(run: &Recorded) -> Result<()> {
+    let drawn = match run.status {
+        Status::Finished => turntable::draw(run),
+        _ => Ok(()),
+    };
+    let (report, folder) = (run.report(), &run.folder);
     report.write(folder)?;
-    write_atomically(&folder.html(), html::page(report, &folder.images())?.as_bytes())
+    write_atomically(&folder.html(), html::page(&report, &folder.images())?.as_bytes())?;
+    drawn
 }
 
 /// Writes a file, and creates its folder if missing.

@@ -8,8 +8,8 @@ mod scatter;
 mod tables;
 
 use super::page::{self, escape, pairs};
-use crate::terminal;
 use look::headline;
+use trimip::formatting;
 use trimip::paper::{Comparison, Figures, Status};
 use trimip::systems::published::REMARKS;
 use trimip::{Result, config::Convention, machine};
@@ -36,13 +36,13 @@ pub fn page(comparison: &Comparison) -> Result<String> {
 fn head(comparison: &Comparison) -> String {
     let scenes = match &comparison.scenes[..] {
         [scene] => scene.clone(),
-        scenes => terminal::count(scenes.len() as u64, "scene"),
+        scenes => formatting::count(scenes.len() as u64, "scene"),
     };
     let figures = || comparison.runs.iter().filter_map(|run| run.figures.as_ref());
     let done = figures().count();
     let mut tiles = vec![
         (format!("{done} of {}", comparison.runs.len()), "runs measured".to_string()),
-        (terminal::duration(figures().map(|figures| figures.seconds).sum()), "training in all".into()),
+        (formatting::duration(figures().map(|figures| figures.seconds).sum()), "training in all".into()),
     ];
     let best = comparison.scales.first().and_then(|&scales| {
         let rows = headline(comparison, scales).into_iter();
@@ -66,7 +66,7 @@ fn head(comparison: &Comparison) -> String {
             format!(
                 "{}, {}",
                 comparison.machine.cpu,
-                terminal::count(comparison.machine.cores as u64, "core")
+                formatting::count(comparison.machine.cores as u64, "core")
             ),
         ),
     ];
@@ -79,7 +79,7 @@ fn head(comparison: &Comparison) -> String {
         "<header><h1>{} <span class=\"scene\">on {}</span></h1>\n<p class=\"lead\">The systems of the paper’s tables, trained by \
          one program on the same photographs and the same machine.</p>\n<div class=\"tiles\">{tiles}</div>\n\
          <div class=\"origin\">{}</div></header>\n",
-        terminal::count(comparison.systems.len() as u64, "system"),
+        formatting::count(comparison.systems.len() as u64, "system"),
         escape(&scenes),
         pairs(&rows)
     )
@@ -103,7 +103,7 @@ fn state(comparison: &Comparison) -> String {
         let stopped = if stopped > 0 { format!(", {stopped} of them begun") } else { String::new() };
         items += &format!(
             "<li><b class=\"badge doubtful\">open</b> {} to go{stopped}; the same command goes on.</li>",
-            terminal::count(open as u64, "run")
+            formatting::count(open as u64, "run")
         );
     }
     if items.is_empty() {

@@ -2,10 +2,10 @@
 //! them have pictures of, next to the photograph. A curve without a run folder contributes only its name.
 
 use super::{page::escape, page::table, pictures};
-use crate::terminal;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use trimip::formatting;
 use trimip::run::store::{FileStore, ViewRecord};
 use trimip::{Result, RunFolder};
 
@@ -70,8 +70,8 @@ pub fn outcomes(entries: &[Entry]) -> String {
             number(&report["mean"]["ms_ssim"], 4),
             number(&report["mean"]["flip"], 4),
             number(&report["mean"]["lpips"], 4),
-            report["samples"].as_f64().map_or("–".into(), |samples| terminal::number(samples, "")),
-            report["model_bytes"].as_u64().map_or("–".into(), terminal::bytes),
+            report["samples"].as_f64().map_or("–".into(), |samples| formatting::number(samples, "")),
+            report["model_bytes"].as_u64().map_or("–".into(), formatting::bytes),
         ]);
     }
     if rows.len() < 2 {

@@ -65,7 +65,7 @@ fn shrunk(picture: RgbImage) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::page;
+    use crate::page;
 
     #[test]
     fn every_picture_has_its_reason() {

@@ -1,6 +1,6 @@
 //! How the page shows a system, and which rows stand for all scenes.
 
-use crate::report::svg::{COLORS, DASHED};
+use crate::svg::{COLORS, DASHED};
 use trimip::paper::{Comparison, Scales, TableRow};
 use trimip::systems::SYSTEMS;
 

@@ -9,9 +9,9 @@ mod unplaced;
 pub use unplaced::UnplacedPicture;
 
 use super::page::{self, escape, pairs};
-use crate::terminal;
 use std::collections::HashMap;
 use trimip::data::checks::Verdict;
+use trimip::formatting;
 use trimip::inspect::Inspection;
 use trimip::{Alpha, Result};
 
@@ -59,7 +59,7 @@ fn head(seen: &Inspection) -> String {
         seen.checks.iter().filter(|check| matches!(check.verdict, Verdict::Suspicious(_))).count();
     let (class, verdict) = match suspicious {
         0 => ("good", "nothing suspicious".to_string()),
-        some => ("doubtful", terminal::count(some as u64, "suspicious thing")),
+        some => ("doubtful", formatting::count(some as u64, "suspicious thing")),
     };
     let alpha = match scene.train.alpha {
         Alpha::Straight => "opacity, beside straight colours",
@@ -71,7 +71,7 @@ fn head(seen: &Inspection) -> String {
         (seen.seen.scene.test_views.len().to_string(), "test views"),
         (size.map_or("none".into(), |k| format!("{}×{}", k.width, k.height)), "pixels of the first"),
         (scene.train.scales.len().to_string(), "scales"),
-        (terminal::bytes(scene.train.bytes() as u64), "training pixels in memory"),
+        (formatting::bytes(scene.train.bytes() as u64), "training pixels in memory"),
         (scene.points.len().to_string(), "points"),
     ];
     let tiles: String =

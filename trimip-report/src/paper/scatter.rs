@@ -1,7 +1,7 @@
 //! A panel of points with names: PSNR in dB over a logarithmic axis, as SVG text.
 
-use crate::report::page::escape;
-use crate::report::svg::{Axis, round_step, short};
+use crate::page::escape;
+use crate::svg::{Axis, round_step, short};
 
 const WIDTH: f64 = 500.0;
 const HEIGHT: f64 = 330.0;

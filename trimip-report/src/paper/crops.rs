@@ -2,7 +2,7 @@
 //! the photograph with the most detail, so no system chooses it.
 
 use super::look::mark;
-use crate::report::{difference, page::escape, pictures};
+use crate::{difference, page::escape, pictures};
 use image::{RgbImage, imageops};
 use std::path::PathBuf;
 use trimip::paper::{Comparison, Scales};

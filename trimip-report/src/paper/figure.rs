@@ -3,9 +3,9 @@
 
 use super::look::{headline, look};
 use super::scatter::{Mark, panel, range};
-use crate::report::page;
-use crate::report::svg::{DASHED, Line, Point};
-use crate::terminal;
+use crate::page;
+use crate::svg::{DASHED, Line, Point};
+use trimip::formatting;
 use trimip::paper::{Comparison, Figures, Run, Scales, TableRow, mean_curve};
 use trimip::run::curve::Measure;
 use trimip::systems::{
@@ -42,7 +42,7 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
     let point = |m: &Measure, of: &str| Point {
         seconds: m.seconds,
         psnr: m.psnr,
-        hint: format!("{}{of}: {:.2} dB after {}", system.title, m.psnr, terminal::duration(m.seconds)),
+        hint: format!("{}{of}: {:.2} dB after {}", system.title, m.psnr, formatting::duration(m.seconds)),
     };
     let line = |points: &[Measure], end: Measure, of: &str, mean: bool| Line {
         name: system.title.into(),
@@ -109,10 +109,11 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
         PUBLISHED.iter().filter_map(mark).collect()
     };
     let size = [
-        measured(&|row| row.cell.model_bytes / 1e6, &|mb| terminal::bytes((mb * 1e6) as u64)),
+        measured(&|row| row.cell.model_bytes / 1e6, &|mb| formatting::bytes((mb * 1e6) as u64)),
         published(&|row| row.megabytes, "MB"),
     ];
-    let time = [measured(&|row| row.cell.seconds, &terminal::duration), published(&|row| row.minutes, "min")];
+    let time =
+        [measured(&|row| row.cell.seconds, &formatting::duration), published(&|row| row.minutes, "min")];
     let all: Vec<f64> = size.iter().chain(&time).flatten().map(|mark| mark.psnr).collect();
     let quality = range(&all);
     let figure = |caption: &str, marks: &[Mark], axis: &str| {
@@ -133,7 +134,7 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
     }
     let here = match &comparison.scenes[..] {
         [scene] => page::escape(scene),
-        scenes => terminal::count(scenes.len() as u64, "scene"),
+        scenes => formatting::count(scenes.len() as u64, "scene"),
     };
     let equal =
         if apart { "" } else { " All systems were trained for the same time here: see the curves above." };

@@ -12,7 +12,7 @@ pub fn whole(title: &str, content: &str) -> String {
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{}</title>\n\
          <style>\n{}</style>\n</head>\n<body>\n<main>\n{content}\
-         <footer>Written by trimip-cli {}.</footer>\n</main>\n<script>\n{}</script>\n</body>\n</html>\n",
+         <footer>Written by trimip {}.</footer>\n</main>\n<script>\n{}</script>\n</body>\n</html>\n",
         escape(title),
         include_str!("style.css"),
         escape(&machine::version()),

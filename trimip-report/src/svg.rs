@@ -3,7 +3,7 @@
 //! their mean; a comparison one line per run.
 
 use super::escape::escape;
-use crate::terminal;
+use trimip::formatting;
 use trimip::{report::scale_name, run::history::Evaluation};
 
 /// Width and height of a drawing, pixels.
@@ -27,24 +27,24 @@ pub const DASHED: &str = "dashed";
 
 /// An axis: the range of its values and the pixels it covers.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Axis {
-    pub(super) low: f64,
-    pub(super) high: f64,
-    pub(super) logarithmic: bool,
-    pub(super) start: f64,
-    pub(super) end: f64,
+pub(crate) struct Axis {
+    pub(crate) low: f64,
+    pub(crate) high: f64,
+    pub(crate) logarithmic: bool,
+    pub(crate) start: f64,
+    pub(crate) end: f64,
 }
 
 impl Axis {
     /// Pixel position of a value.
-    pub(super) fn place(&self, value: f64) -> f64 {
+    pub(crate) fn place(&self, value: f64) -> f64 {
         let f = |x: f64| if self.logarithmic { x.log10() } else { x };
         let fraction = (f(value) - f(self.low)) / (f(self.high) - f(self.low));
         self.start + fraction * (self.end - self.start)
     }
 
     /// Round values for the tick labels.
-    pub(super) fn ticks(&self) -> Vec<f64> {
+    pub(crate) fn ticks(&self) -> Vec<f64> {
         if self.logarithmic {
             let digits: &[f64] = if self.high / self.low > 2e3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
             let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
@@ -128,7 +128,7 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
             hint: format!(
                 "{:.2} dB after {} (step {})",
                 value(e),
-                terminal::duration(e.totals.seconds),
+                formatting::duration(e.totals.seconds),
                 e.totals.step
             ),
         };
@@ -315,7 +315,7 @@ fn group(line: &Line, x: Axis, y: Axis) -> String {
 }
 
 /// A tick's value in few characters.
-pub(super) fn short(value: f64) -> String {
+pub(crate) fn short(value: f64) -> String {
     let digits = if value.abs() >= 9.995 { 1 } else { 3 };
     let text = format!("{value:.digits$}");
     let trimmed = text.trim_end_matches('0').trim_end_matches('.');
