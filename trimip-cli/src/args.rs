@@ -9,7 +9,7 @@ mod render;
 mod shared;
 
 pub use bench::BenchArguments;
-pub use capture::{CaptureArguments, Lens, Mapper, Matcher, PosesProgram};
+pub use capture::CaptureArguments;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use data::{DataAction, DataArguments};
 pub use export::{ExportArguments, ExportWhat, MeshArguments, WebArguments};

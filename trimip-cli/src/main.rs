@@ -8,7 +8,7 @@
 mod allocator;
 mod args;
 mod cameras;
-mod capture;
+mod capture_display;
 mod check;
 mod curves;
 mod interrupt;
@@ -22,11 +22,12 @@ mod verbs;
 
 use clap::{Parser, error::ErrorKind as Mistake};
 use std::process::ExitCode;
+use trimip_capture::guard;
 use trimip_core::{ErrorKind, Result};
 
 fn main() -> ExitCode {
-    if capture::guard::is_one() {
-        return capture::guard::run();
+    if guard::is_one() {
+        return ExitCode::from(guard::run(std::env::args_os().skip(1)));
     }
     let arguments = match args::Arguments::try_parse() {
         Ok(arguments) => arguments,

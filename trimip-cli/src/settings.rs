@@ -2,11 +2,11 @@
 
 use crate::{
     args::{SceneArguments, SettingsArguments},
-    capture::process::quoted_path,
     mistake,
 };
 use std::path::Path;
 use trimip::{Config, Error, Result, Settings, systems};
+use trimip_capture::quoted_path;
 use trimip_core::text;
 use trimip_data::{is_archive, is_film};
 

@@ -1,14 +1,14 @@
 //! `trimip.train`, and what it returns.
 
 use crate::error::{raised, refused};
+use crate::listening::Listener;
 use crate::model::Model;
 use crate::value;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use trimip::report::{Status, text};
 use trimip::run::Recorded;
 use trimip::{Ended, Listeners, Settings, Training, events::Event};
@@ -153,28 +153,18 @@ pub fn train(
 ) -> PyResult<Run> {
     let (settings, default) = given(config, settings, system)?;
     let out = out.unwrap_or(default);
-    let stop = AtomicBool::new(false);
-    let raised_by_python: Mutex<Option<PyErr>> = Mutex::new(None);
-    let keep = |error: PyErr| {
-        stop.store(true, Ordering::Relaxed);
-        let mut kept = raised_by_python.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-        kept.get_or_insert(error);
-    };
+    let listener = Listener::new(callback);
     let outcome = py.detach(|| {
         let mut events = |event: &Event| {
-            Python::attach(|py| {
-                if let Err(error) = told(py, callback.as_ref(), event, &stop) {
-                    keep(error);
-                }
-            });
+            listener.check_signals();
+            listener.tell(event);
         };
         let reading = |_, _| {
-            if let Err(error) = Python::attach(|py| py.check_signals()) {
-                keep(error);
-            }
-            !stop.load(Ordering::Relaxed)
+            listener.check_signals();
+            !listener.stop.load(Ordering::Relaxed)
         };
-        let listeners = Listeners { events: &mut events, reading: &reading, observer: &mut (), stop: &stop };
+        let listeners =
+            Listeners { events: &mut events, reading: &reading, observer: &mut (), stop: &listener.stop };
         let trained = Training::new(settings, &out).fresh(fresh).run_with(listeners)?;
         let recorded = Recorded::of(&trained);
         let written = trimip_report::write(&recorded);
@@ -186,22 +176,8 @@ pub fn train(
         trained.judge()?;
         Ok(Run { recorded, ended })
     });
-    if let Some(error) = raised_by_python.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner()) {
-        return Err(error);
-    }
+    listener.end()?;
     outcome.map_err(raised)
-}
-
-/// Tells Python of an event.
-fn told(py: Python<'_>, callback: Option<&Py<PyAny>>, event: &Event, stop: &AtomicBool) -> PyResult<()> {
-    py.check_signals()?;
-    if let Some(callback) = callback {
-        let answer = callback.call1(py, (value::python(py, event)?,))?;
-        if answer.bind(py).is(pyo3::types::PyBool::new(py, false)) {
-            stop.store(true, Ordering::Relaxed);
-        }
-    }
-    Ok(())
 }
 
 fn evaluations(run: &Recorded) -> Value {

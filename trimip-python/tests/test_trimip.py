@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import pickle
 import signal
 import threading
@@ -96,6 +97,57 @@ def test_a_run_has_the_files_of_the_program_and_is_opened_again(trained, cli, tm
     assert again.report() == run.folder / "report.html" and (run.folder / "report.html").read_text() == page
     with pytest.raises(trimip.InputError, match="holds no run"):
         trimip.Run.load(tmp_path)
+
+
+def test_a_capture_calls_colmap_and_tells_why_it_failed(model, tmp_path, monkeypatch):
+    walk, programs = tmp_path / "walk", tmp_path / "bin"
+    walk.mkdir(), programs.mkdir()
+    for name in "abc":
+        model.render(camera()).save(walk / f"{name}.png")
+    monkeypatch.setenv("PATH", str(programs))
+    with pytest.raises(trimip.InputError, match="colmap"):
+        trimip.capture(walk, tmp_path / "out")
+    with pytest.raises(trimip.InputError, match="fish.*opencv-fisheye"):
+        trimip.capture(walk, tmp_path / "out", camera="fish")
+    colmap = programs / "colmap"
+    colmap.write_text("#!/bin/sh\ncase \"$*\" in help|*--help) echo 'COLMAP 3.8';; *) echo 'no features today' >&2; exit 3;; esac\n")
+    colmap.chmod(0o755)
+    events = []
+    with pytest.raises(trimip.RunError, match="exit code 3: no features today"):
+        trimip.capture(walk, tmp_path / "out", callback=events.append)
+    assert [event["stage"] for event in events if event["kind"] == "done"] == ["pictures"]
+    assert len(list((tmp_path / "out/images").iterdir())) == 3
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_ctrl_c_stops_a_capture_and_its_programs(keyboard, model, tmp_path, monkeypatch):
+    walk, programs = tmp_path / "walk", tmp_path / "bin"
+    walk.mkdir(), programs.mkdir()
+    for name in "abc":
+        model.render(camera()).save(walk / f"{name}.png")
+    colmap, asleep = programs / "colmap", tmp_path / "asleep"
+    hang = f"echo $$ > {asleep}.part; mv {asleep}.part {asleep}; sleep 600"
+    colmap.write_text(f"#!/bin/sh\nPATH=/usr/bin:/bin\ncase \"$*\" in help|*--help) echo 'COLMAP 3.8';; *) {hang};; esac\n")
+    colmap.chmod(0o755)
+    monkeypatch.setenv("PATH", str(programs))
+
+    def interrupt():
+        while not asleep.exists():
+            time.sleep(0.05)
+        signal.raise_signal(signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        trimip.capture(walk, tmp_path / "out")
+    thread.join()
+    for _ in range(100):
+        try:
+            os.kill(int(asleep.read_text()), 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("the program goes on")
 
 
 def test_progress_is_one_line(tmp_path):

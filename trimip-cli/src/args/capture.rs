@@ -1,70 +1,9 @@
 //! The options of `capture`.
 
 use super::ProgressStyle;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use std::path::PathBuf;
-
-/// What finds the poses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum PosesProgram {
-    /// The program colmap
-    Colmap,
-    /// The Python package pycolmap, of any python3 that has it
-    Pycolmap,
-    /// The program glomap, after features and matches by one of the others
-    Glomap,
-}
-
-/// A camera model, by COLMAP's names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Lens {
-    /// Four terms of distortion: ordinary lenses
-    Opencv,
-    /// Lenses that see 120° and more
-    OpencvFisheye,
-    /// Eight terms of distortion
-    FullOpencv,
-    /// One focal length and two terms
-    Radial,
-    /// One focal length and one term
-    SimpleRadial,
-    /// No distortion
-    Pinhole,
-}
-
-impl Lens {
-    /// Its name in COLMAP.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Opencv => "OPENCV",
-            Self::OpencvFisheye => "OPENCV_FISHEYE",
-            Self::FullOpencv => "FULL_OPENCV",
-            Self::Radial => "RADIAL",
-            Self::SimpleRadial => "SIMPLE_RADIAL",
-            Self::Pinhole => "PINHOLE",
-        }
-    }
-}
-
-/// Which pictures are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Matcher {
-    /// Each with each
-    Exhaustive,
-    /// Each with those after it, and some with all others, which closes loops
-    Sequential,
-    /// Each with those that look alike by a vocabulary tree (--vocab-tree)
-    Vocabulary,
-}
-
-/// How cameras are placed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Mapper {
-    /// One after the other
-    Incremental,
-    /// All at once: COLMAP 4 or glomap
-    Global,
-}
+use trimip_capture::{Lens, Mapper, Matcher, PosesProgram, Request};
 
 /// Options of `capture`.
 #[derive(Args, Debug)]
@@ -114,4 +53,23 @@ pub struct CaptureArguments {
     /// How progress is shown
     #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
     pub progress: ProgressStyle,
+}
+
+impl CaptureArguments {
+    /// What is captured, and how.
+    pub fn request(&self) -> Request {
+        Request {
+            input: self.input.clone(),
+            out: self.out.clone(),
+            frames: self.frames,
+            poses: self.poses,
+            camera: self.camera,
+            matcher: self.matcher,
+            vocab_tree: self.vocab_tree.clone(),
+            mapper: self.mapper,
+            size: self.size,
+            threads: self.threads,
+            fresh: self.fresh,
+        }
+    }
 }

@@ -3,16 +3,13 @@
 use super::{export, render, train};
 use crate::{
     args::{Arguments, CaptureArguments, ProgressStyle, SettingsArguments, Verb},
-    capture::{
-        self, Captured,
-        process::{quoted, quoted_path},
-        programs,
-    },
-    settings, terminal,
+    capture_display::Display,
+    interrupt, settings, terminal,
 };
 use clap::Parser;
 use std::path::Path;
 use trimip::{Error, Result, backends};
+use trimip_capture::{Captured, Event, programs, quoted, quoted_path};
 
 /// Frames of the film, and its longest side, pixels.
 const FRAMES: u32 = 120;
@@ -31,7 +28,18 @@ pub fn run(arguments: &CaptureArguments) -> Result<u8> {
         let (_, config) = settings::load(&SettingsArguments { set, ..SettingsArguments::default() })?;
         backends::check(&config.backend)?;
     }
-    let captured = capture::run(arguments)?;
+    let stop = interrupt::install_for(
+        "stopping; the same command goes on from here; press Ctrl-C again to end at once",
+    )?;
+    let display = Display::new(arguments.progress);
+    let captured = trimip_capture::run(&arguments.request(), &stop, &|event| display.show(event));
+    if let Ok(captured) = &captured
+        && !arguments.train
+    {
+        display.show(&Event::Note { text: &format!("next: trimip-cli {}", quoted_path(&captured.root)) });
+    }
+    display.finish();
+    let captured = captured?;
     if !arguments.train {
         return Ok(0);
     }

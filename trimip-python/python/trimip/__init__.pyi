@@ -229,6 +229,22 @@ class Run:
     def model(self) -> Model:
         """The trained model."""
 
+def capture(
+    input: str | PathLike[str],
+    out: str | PathLike[str] | None = None,
+    *,
+    frames: int | None = None,
+    poses: Literal["colmap", "pycolmap", "glomap"] | None = None,
+    camera: Literal["opencv", "opencv-fisheye", "full-opencv", "radial", "simple-radial", "pinhole"] | None = None,
+    matcher: Literal["exhaustive", "sequential", "vocabulary"] | None = None,
+    vocab_tree: str | PathLike[str] | None = None,
+    mapper: Literal["incremental", "global"] | None = None,
+    size: int | None = None,
+    threads: int = 0,
+    fresh: bool = False,
+    callback: Callable[[dict[str, Any]], bool | None] | None = None,
+) -> Path:
+    """Finds the cameras of a film or of photographs by ffmpeg and COLMAP; the folder of the capture, which `train` takes as data."""
 def train(
     config: Settings | str | PathLike[str] | None = None,
     out: str | PathLike[str] | None = None,

@@ -6,7 +6,7 @@ from typing import Any, TextIO
 
 
 class Progress:
-    """A callback of :func:`trimip.train` that keeps one line up to date.
+    """A callback of :func:`trimip.train` and :func:`trimip.capture` that keeps one line up to date.
 
     >>> trimip.train({"data.root": "data/lego"}, callback=trimip.Progress())
     """
@@ -38,3 +38,12 @@ class Progress:
             self._write(f"{name}: {event['psnr']:.2f} dB, SSIM {event['ssim']:.4f}", "\n")
         elif kind == "warning":
             self._write(f"warning: {event['message']}", "\n")
+        elif kind == "note":
+            self._write(event["text"], "\n")
+        elif kind == "progress":
+            now = time.monotonic()
+            if now - self._last >= self.interval:
+                self._last = now
+                self._write(f"{event['doing']}, {event['done']} of {event['total']}")
+        elif kind == "done":
+            self._write(f"{event['stage']}: done, {event['seconds']:.0f} s", "\n")

@@ -1,6 +1,6 @@
 //! The Python package `pycolmap`, by a script that is kept beside the logs.
 
-use crate::capture::{
+use crate::{
     decisions::{Cameras, Decisions, Pairs},
     folder::{Folder, unwritable},
     process::{Call, ask},

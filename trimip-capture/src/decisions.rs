@@ -1,7 +1,7 @@
 //! What a capture decides by itself, each with its reason: cameras, features, pairs, mapper.
 
 use super::{ability::Ability, pictures::Pictures};
-use crate::args::{CaptureArguments, Lens, Mapper, Matcher};
+use crate::{Lens, Mapper, Matcher, Request};
 use serde::Serialize;
 use trimip::{Error, Result, formatting::count};
 
@@ -85,8 +85,8 @@ pub struct Decisions {
 ///
 /// # Errors
 /// Of kind `Input`: a vocabulary tree that is missing, a mapper that no program has.
-pub fn expect(arguments: &CaptureArguments, able: &Ability) -> Result<Option<String>> {
-    match arguments.mapper {
+pub fn expect(request: &Request, able: &Ability) -> Result<Option<String>> {
+    match request.mapper {
         Some(Mapper::Global) if !able.global => {
             let what = format!("{} has no global mapper", able.name);
             return Err(Error::input("--mapper global", what, "install COLMAP 4 or glomap, or leave it out"));
@@ -97,8 +97,8 @@ pub fn expect(arguments: &CaptureArguments, able: &Ability) -> Result<Option<Str
         }
         _ => {}
     }
-    let Some(path) = &arguments.vocab_tree else {
-        return match arguments.matcher {
+    let Some(path) = &request.vocab_tree else {
+        return match request.matcher {
             Some(Matcher::Vocabulary) => Err(Error::input(
                 "--matcher vocabulary",
                 "needs a vocabulary tree",
@@ -125,21 +125,21 @@ pub fn expect(arguments: &CaptureArguments, able: &Ability) -> Result<Option<Str
 ///
 /// # Errors
 /// As [`expect`].
-pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability) -> Result<Decisions> {
-    let tree = expect(arguments, able)?;
+pub fn decide(request: &Request, pictures: &Pictures, able: &Ability) -> Result<Decisions> {
+    let tree = expect(request, able)?;
     let number = pictures.pictures.len();
     let mut lines = Vec::new();
     let (cameras, why) = cameras(pictures);
-    let (lens, because) = match arguments.camera {
+    let (lens, because) = match request.camera {
         Some(lens) => (lens, "as asked for"),
         None if cameras == Cameras::PerImage => (Lens::SimpleRadial, "one picture cannot tell more"),
         None => (Lens::Opencv, "ordinary lenses; --camera opencv-fisheye for those that see 120° and more"),
     };
     lines.push(format!("cameras: {} ({because}), {why}", lens.name()));
 
-    let size = arguments.size.unwrap_or(if able.gpu { GPU_SIZE } else { CPU_SIZE });
+    let size = request.size.unwrap_or(if able.gpu { GPU_SIZE } else { CPU_SIZE });
     let largest = pictures.pictures.iter().flat_map(|picture| picture.size).max().unwrap_or(0);
-    let reason = match arguments.size {
+    let reason = match request.size {
         Some(_) => "as asked for".to_string(),
         None if able.gpu => "on the GPU".into(),
         None => format!("on the CPU: {}", able.why_no_gpu),
@@ -151,10 +151,10 @@ pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability)
         }
     });
 
-    let (pairs, why) = pairs(arguments.matcher, pictures.of_film, number, tree);
+    let (pairs, why) = pairs(request.matcher, pictures.of_film, number, tree);
     lines.push(format!("pairs: {why}"));
 
-    let (global, why) = match arguments.mapper {
+    let (global, why) = match request.mapper {
         Some(mapper) => (mapper == Mapper::Global, "as asked for".to_string()),
         None if able.only_global => (true, "what glomap does".into()),
         None if number <= INCREMENTAL => (false, format!("{number} pictures, up to {INCREMENTAL}")),
@@ -170,7 +170,7 @@ pub fn decide(arguments: &CaptureArguments, pictures: &Pictures, able: &Ability)
         gpu: able.gpu,
         pairs,
         global,
-        threads: arguments.threads,
+        threads: request.threads,
         lines,
     })
 }
@@ -243,7 +243,7 @@ fn spread(number: usize, most: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::pictures::Picture;
+    use crate::pictures::Picture;
 
     fn pictures(sizes: &[(u32, usize)], of_film: bool) -> Pictures {
         let picture = |width: u32| Picture {
@@ -258,36 +258,26 @@ mod tests {
         Pictures { pictures, of_film, ..Pictures::default() }
     }
 
-    fn arguments(more: &[&str]) -> CaptureArguments {
-        use clap::Parser;
-        let words = [&["x", "capture", "a.mp4"][..], more].concat();
-        match crate::args::Arguments::try_parse_from(words).unwrap().verb {
-            Some(crate::args::Verb::Capture(arguments)) => *arguments,
-            other => panic!("{other:?}"),
-        }
-    }
-
     fn able(global: bool, gpu: bool) -> Ability {
         Ability { name: "colmap 3.8".into(), global, only_global: false, gpu, why_no_gpu: "none here".into() }
     }
 
     #[test]
     fn decisions_follow_the_pictures() {
-        let decided =
-            |more: &[&str], pictures: &Pictures, able: &Ability| decide(&arguments(more), pictures, able);
-        let film = decided(&[], &pictures(&[(1920, 120)], true), &able(false, false)).unwrap();
+        let decided = |pictures: &Pictures, able: &Ability| decide(&Request::default(), pictures, able);
+        let film = decided(&pictures(&[(1920, 120)], true), &able(false, false)).unwrap();
         assert_eq!(
             (film.camera, film.cameras, film.size, film.global),
             ("OPENCV", Cameras::One, 1600, false)
         );
         assert_eq!(film.pairs, Pairs::Sequential { overlap: 10, every: 3, tree: None });
-        let few = decided(&[], &pictures(&[(1920, 50)], false), &able(true, true)).unwrap();
+        let few = decided(&pictures(&[(1920, 50)], false), &able(true, true)).unwrap();
         assert_eq!((few.pairs, few.size, few.global), (Pairs::Exhaustive, 3200, false));
-        let many = decided(&[], &pictures(&[(1920, 400)], false), &able(true, false)).unwrap();
+        let many = decided(&pictures(&[(1920, 400)], false), &able(true, false)).unwrap();
         assert!(matches!(many.pairs, Pairs::Sequential { every: 4, .. }) && many.global, "{many:?}");
         let phones = pictures(&[(1920, 50), (1000, 5)], false);
-        assert_eq!(decided(&[], &phones, &able(false, false)).unwrap().cameras, Cameras::PerFolder);
-        let mixed = decided(&[], &pictures(&[(1920, 50), (1000, 1)], false), &able(false, false)).unwrap();
+        assert_eq!(decided(&phones, &able(false, false)).unwrap().cameras, Cameras::PerFolder);
+        let mixed = decided(&pictures(&[(1920, 50), (1000, 1)], false), &able(false, false)).unwrap();
         assert_eq!((mixed.cameras, mixed.camera), (Cameras::PerImage, "SIMPLE_RADIAL"));
         assert_eq!(mixed.lines.len(), 4);
     }
@@ -295,21 +285,28 @@ mod tests {
     #[test]
     fn what_the_user_gives_counts() {
         let photographs = pictures(&[(1920, 50)], false);
-        let more =
-            ["--camera", "opencv-fisheye", "--matcher", "sequential", "--size", "800", "--mapper", "global"];
-        let decided = decide(&arguments(&more), &photographs, &able(true, false)).unwrap();
+        let request = Request {
+            camera: Some(Lens::OpencvFisheye),
+            matcher: Some(Matcher::Sequential),
+            size: Some(800),
+            mapper: Some(Mapper::Global),
+            ..Request::default()
+        };
+        let decided = decide(&request, &photographs, &able(true, false)).unwrap();
         assert_eq!((decided.camera, decided.size, decided.global), ("OPENCV_FISHEYE", 800, true));
         assert!(matches!(decided.pairs, Pairs::Sequential { .. }));
-        for (more, what) in [
-            (&["--mapper", "global"][..], "no global mapper"),
-            (&["--matcher", "vocabulary"], "--vocab-tree"),
-            (&["--vocab-tree", "nowhere.bin"], "no vocabulary tree"),
-        ] {
-            let error = decide(&arguments(more), &photographs, &able(false, false)).unwrap_err();
+        let global = Request { mapper: Some(Mapper::Global), ..Request::default() };
+        let vocabulary = Request { matcher: Some(Matcher::Vocabulary), ..Request::default() };
+        let nowhere = Request { vocab_tree: Some("nowhere.bin".into()), ..Request::default() };
+        for (request, what) in
+            [(global, "no global mapper"), (vocabulary, "--vocab-tree"), (nowhere, "no vocabulary tree")]
+        {
+            let error = decide(&request, &photographs, &able(false, false)).unwrap_err();
             assert!(error.exit_code() == 2 && error.message.contains(what), "{error}");
         }
         let glomap = Ability { only_global: true, ..able(true, false) };
-        let error = decide(&arguments(&["--mapper", "incremental"]), &photographs, &glomap).unwrap_err();
+        let incremental = Request { mapper: Some(Mapper::Incremental), ..Request::default() };
+        let error = decide(&incremental, &photographs, &glomap).unwrap_err();
         assert!(error.message.contains("--poses glomap"), "{error}");
     }
 

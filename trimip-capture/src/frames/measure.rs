@@ -1,7 +1,7 @@
 //! Measures every frame of a film, as ffmpeg decodes them to small grey pictures.
 
 use super::motion::Follower;
-use crate::capture::{
+use crate::{
     grey::Grey,
     process::{Call, Output},
 };

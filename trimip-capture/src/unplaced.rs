@@ -139,7 +139,7 @@ fn sharpness(path: &Path) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::models::Placed;
+    use crate::models::Placed;
 
     #[test]
     fn every_reason_has_its_sign() {

@@ -1,7 +1,7 @@
 //! The program `colmap`, of any version since 3.6, and `glomap`. Names of options changed with versions: those that its help lists
 //! are used.
 
-use crate::capture::{
+use crate::{
     decisions::{Cameras, Decisions, Pairs},
     folder::Folder,
     process::{Call, ask},

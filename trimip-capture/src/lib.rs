@@ -4,7 +4,7 @@
 mod ability;
 mod database;
 mod decisions;
-mod display;
+mod events;
 mod folder;
 mod frames;
 mod grey;
@@ -13,17 +13,18 @@ mod models;
 mod photographs;
 mod pictures;
 mod poses;
-pub mod process;
+mod process;
 pub mod programs;
+mod request;
 mod source;
 mod unplaced;
 
-use crate::{
-    args::{CaptureArguments, PosesProgram},
-    interrupt, settings,
-};
+pub use events::Event;
+pub use process::{quoted, quoted_path};
+pub use request::{Lens, Mapper, Matcher, PosesProgram, Request};
+
 use decisions::Decisions;
-use display::Display;
+use events::Teller;
 use folder::{Done, Folder, Stage, digest, temporary, unwritable};
 use models::Models;
 use pictures::Pictures;
@@ -34,7 +35,7 @@ use source::{Found, Source};
 use std::{
     fs,
     path::{Path, PathBuf},
-    sync::{Arc, atomic::AtomicBool},
+    sync::atomic::AtomicBool,
     time::Instant,
 };
 use trimip::{Error, Result, formatting::count};
@@ -64,35 +65,30 @@ struct Placement {
     models: Models,
 }
 
-/// Captures what the arguments name. What an earlier command did is kept.
+/// Captures what the request names. What an earlier call did is kept. `events` is told of every step; `stop`, once set, ends the
+/// programs that run and the call.
 ///
 /// # Errors
-/// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` when the user stopped it.
-pub fn run(arguments: &CaptureArguments) -> Result<Captured> {
-    let stop = interrupt::install_for(
-        "stopping; the same command goes on from here; press Ctrl-C again to end at once",
-    )?;
-    let root = arguments.out.clone().unwrap_or_else(|| default_folder(&arguments.input));
+/// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` after a stop.
+pub fn run(request: &Request, stop: &AtomicBool, events: &dyn Fn(&Event<'_>)) -> Result<Captured> {
+    let root = request.out.clone().unwrap_or_else(|| default_folder(&request.input));
     if root.to_str().is_none() {
         return Err(Error::input(root.display(), "the path is not UTF-8", "choose another --out folder"));
     }
-    expect_outside(&arguments.input, &root)?;
-    let Found { source, notes } = source::find(&arguments.input)?;
-    if matches!(source, Source::Photographs(_)) && arguments.frames.is_some() {
+    expect_outside(&request.input, &root)?;
+    let Found { source, notes } = source::find(&request.input)?;
+    if matches!(source, Source::Photographs(_)) && request.frames.is_some() {
         return Err(Error::input("--frames", "is for films, and these are photographs", "leave it out"));
     }
-    expect_programs(arguments, &source, &root)?;
-    let input = arguments.input.canonicalize().unwrap_or_else(|_| arguments.input.clone());
+    expect_programs(request, &source, &root)?;
+    let input = request.input.canonicalize().unwrap_or_else(|_| request.input.clone());
     let folder = Folder::open(&root, &input)?;
-    if arguments.fresh {
+    if request.fresh {
         folder.begin(Stage::Pictures)?;
     }
-    let display = Display::new(arguments.progress);
-    notes.iter().for_each(|note| display.note(note));
-    let capture = Capture { arguments, folder, display, stop };
-    let outcome = capture.whole(&source, &root);
-    capture.display.finish();
-    outcome
+    let teller = Teller::new(events);
+    notes.iter().for_each(|note| teller.note(note));
+    Capture { request, folder, teller, stop }.whole(&source, &root)
 }
 
 /// `captures/` and the name of what is captured.
@@ -119,8 +115,8 @@ fn expect_outside(input: &Path, root: &Path) -> Result<()> {
 
 /// Fails before anything is written where the options do not fit, or a program is missing that an earlier command did not do the
 /// work of.
-fn expect_programs(arguments: &CaptureArguments, source: &Source, root: &Path) -> Result<()> {
-    let is_done = |stage: Stage| !arguments.fresh && folder::state(root, stage).is_file();
+fn expect_programs(request: &Request, source: &Source, root: &Path) -> Result<()> {
+    let is_done = |stage: Stage| !request.fresh && folder::state(root, stage).is_file();
     if let Source::Film(film) = source
         && !is_done(Stage::Pictures)
     {
@@ -128,18 +124,18 @@ fn expect_programs(arguments: &CaptureArguments, source: &Source, root: &Path) -
         programs::expect("ffprobe", programs::Need::Films, film.display())?;
     }
     if !is_done(Stage::Model) {
-        let poses = Poses::find(arguments.poses, None, &arguments.input)?;
-        decisions::expect(arguments, &poses.ability())?;
+        let poses = Poses::find(request.poses, None, &request.input)?;
+        decisions::expect(request, &poses.ability())?;
     }
     Ok(())
 }
 
 /// A capture on its way.
 struct Capture<'a> {
-    arguments: &'a CaptureArguments,
+    request: &'a Request,
     folder: Folder,
-    display: Display,
-    stop: Arc<AtomicBool>,
+    teller: Teller<'a>,
+    stop: &'a AtomicBool,
 }
 
 impl Capture<'_> {
@@ -151,9 +147,6 @@ impl Capture<'_> {
         let [width, height] = pictures.pictures.iter().fold([0, 0], |largest, picture| {
             [largest[0].max(picture.size[0]), largest[1].max(picture.size[1])]
         });
-        if !self.arguments.train {
-            self.display.note(&format!("next: trimip-cli {}", process::quoted_path(root)));
-        }
         Ok(Captured { root: root.into(), size: [width, height] })
     }
 
@@ -170,16 +163,16 @@ impl Capture<'_> {
             && done.inputs == inputs
             && is_whole(&done.result)
         {
-            self.display.done(stage.name(), done.seconds, true);
+            self.teller.done(stage.name(), done.seconds, true);
             return Ok(done.result);
         }
         self.folder.begin(stage)?;
-        self.display.begin(stage.name(), doing);
+        self.teller.begin(stage.name(), doing);
         let started = Instant::now();
         let result = work()?;
         let done = Done { inputs, seconds: started.elapsed().as_secs_f64(), result };
         self.folder.finish(stage, &done)?;
-        self.display.done(stage.name(), done.seconds, false);
+        self.teller.done(stage.name(), done.seconds, false);
         Ok(done.result)
     }
 
@@ -188,7 +181,7 @@ impl Capture<'_> {
         let inputs = match source {
             Source::Film(film) => {
                 let name = film.file_name().unwrap_or_default().to_string_lossy();
-                json!({ "film": name, "bytes": bytes(film), "frames": self.arguments.frames })
+                json!({ "film": name, "bytes": bytes(film), "frames": self.request.frames })
             }
             Source::Photographs(all) => {
                 let listed = |photograph: &source::Photograph| {
@@ -202,20 +195,17 @@ impl Capture<'_> {
         let work = || {
             let mut pictures = match source {
                 Source::Film(film) => {
-                    let request = frames::Request {
-                        film,
-                        frames: self.arguments.frames,
-                        threads: self.arguments.threads,
-                    };
-                    let mut tell = |line: &str| self.display.note(line);
+                    let request =
+                        frames::Request { film, frames: self.request.frames, threads: self.request.threads };
+                    let mut tell = |line: &str| self.teller.note(line);
                     let mut progress =
-                        |doing: &'static str, done, total| self.display.progress(doing, done, total);
-                    frames::take(&request, &self.folder, &part, &self.stop, &mut tell, &mut progress)?
+                        |doing: &'static str, done, total| self.teller.progress(doing, done, total);
+                    frames::take(&request, &self.folder, &part, self.stop, &mut tell, &mut progress)?
                 }
                 Source::Photographs(all) => {
                     let log = self.folder.log("convert");
-                    let mut progress = |done, total| self.display.progress("photographs", done, total);
-                    photographs::make(all, self.folder.root(), &part, &log, &self.stop, &mut progress)?
+                    let mut progress = |done, total| self.teller.progress("photographs", done, total);
+                    photographs::make(all, self.folder.root(), &part, &log, self.stop, &mut progress)?
                 }
             };
             self.folder.keep("images")?;
@@ -231,19 +221,19 @@ impl Capture<'_> {
         )?;
         let [width, height] = pictures.pictures.first().map_or([0, 0], |picture| picture.size);
         let by = pictures.converted_by.as_ref().map_or(String::new(), |by| format!(", converted by {by}"));
-        self.display.note(&format!(
+        self.teller.note(&format!(
             "pictures: {}, the first of {width}×{height}{by}, in {}",
             count(pictures.pictures.len() as u64, "picture"),
             images.display()
         ));
         if !pictures.of_film {
-            pictures.notes.iter().for_each(|note| self.display.note(note));
+            pictures.notes.iter().for_each(|note| self.teller.note(note));
         }
         for left in pictures.left_out.iter().take(NAMED) {
-            self.display.note(&format!("left out: {}: {}", left.name, left.reason));
+            self.teller.note(&format!("left out: {}: {}", left.name, left.reason));
         }
         if pictures.left_out.len() > NAMED {
-            self.display.note(&format!("left out: {} more", pictures.left_out.len() - NAMED));
+            self.teller.note(&format!("left out: {} more", pictures.left_out.len() - NAMED));
         }
         Ok(pictures)
     }
@@ -256,13 +246,13 @@ impl Capture<'_> {
         if let Some(done) =
             self.folder.done::<Placement>(Stage::Model).filter(|done| earlier && done.result.asked == asked)
         {
-            self.display.done(Stage::Model.name(), done.seconds, true);
+            self.teller.done(Stage::Model.name(), done.seconds, true);
             return Ok(done.result);
         }
-        let poses = Poses::find(self.arguments.poses, self.began_with(), &self.arguments.input)?;
-        let decisions = decisions::decide(self.arguments, pictures, &poses.ability())?;
-        self.display.note(&format!("poses: by {}", poses.name()));
-        decisions.lines.iter().for_each(|line| self.display.note(line));
+        let poses = Poses::find(self.request.poses, self.began_with(), &self.request.input)?;
+        let decisions = decisions::decide(self.request, pictures, &poses.ability())?;
+        self.teller.note(&format!("poses: by {}", poses.name()));
+        decisions.lines.iter().for_each(|line| self.teller.note(line));
 
         let inputs = json!({
             "pictures": digest(&pictures.pictures)?,
@@ -280,8 +270,8 @@ impl Capture<'_> {
             inputs,
             |_: &Value| true,
             || {
-                let mut progress = |done, total| self.display.progress("features", done, total);
-                let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+                let mut progress = |done, total| self.teller.progress("features", done, total);
+                let mut watching = Watching { stop: self.stop, progress: &mut progress };
                 poses.features(&self.folder, &part, pictures, &decisions, &mut watching)?;
                 self.folder.keep_database("features.db").map(|()| Value::Null)
             },
@@ -313,7 +303,7 @@ impl Capture<'_> {
 
     /// What the user asked for of the cameras of these pictures.
     fn asked(&self, pictures: &Pictures) -> Result<Value> {
-        let CaptureArguments { poses, camera, matcher, vocab_tree, mapper, size, .. } = self.arguments;
+        let Request { poses, camera, matcher, vocab_tree, mapper, size, .. } = self.request;
         let options = format!("{poses:?} {camera:?} {matcher:?} {vocab_tree:?} {mapper:?} {size:?}");
         Ok(json!({ "pictures": digest(&pictures.pictures)?, "options": options }))
     }
@@ -334,16 +324,16 @@ impl Capture<'_> {
                 fs::copy(&from, &to).map_err(|error| unwritable(&to, &error))?;
             }
         }
-        let mut progress = |done, total| self.display.progress("matches", done, total);
-        let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+        let mut progress = |done, total| self.teller.progress("matches", done, total);
+        let mut watching = Watching { stop: self.stop, progress: &mut progress };
         poses.matches(&self.folder, &part, pictures, decisions, &mut watching)?;
         self.folder.keep_database("database.db")
     }
 
     fn place(&self, poses: &Poses, pictures: &Pictures, decisions: &Decisions) -> Result<Models> {
         let part = temporary("models");
-        let mut progress = |done, total| self.display.progress("cameras", done, total);
-        let mut watching = Watching { stop: &self.stop, progress: &mut progress };
+        let mut progress = |done, total| self.teller.progress("cameras", done, total);
+        let mut watching = Watching { stop: self.stop, progress: &mut progress };
         poses.model(&self.folder, &part, pictures, decisions, &mut watching)?;
         let models = models::read(&self.folder.path(&part))?;
         let Some(best) = models.models.first() else { return Err(poses.placed_nothing(&self.folder)) };
@@ -361,7 +351,7 @@ impl Capture<'_> {
         let all = pictures.pictures.len();
         let error = best.error.map_or(String::new(), |error| format!(", mean error {error:.2} pixels"));
         let placed = best.pictures.len();
-        self.display.note(&format!(
+        self.teller.note(&format!(
             "cameras: {placed} of {} placed by {}, {}{error}",
             count(all as u64, "picture"),
             placement.program,
@@ -373,7 +363,7 @@ impl Capture<'_> {
                 .iter()
                 .map(|model| format!("{} ({})", model.pictures.len(), model.folder))
                 .collect();
-            self.display.note(&format!(
+            self.teller.note(&format!(
                 "models: {} of {} pictures, which share too little with each other; the largest is taken",
                 models.models.len(),
                 sizes.join(", ")
@@ -382,17 +372,17 @@ impl Capture<'_> {
         let unplaced =
             unplaced::find(pictures, models, &self.folder.path("images"), &self.folder.path("database.db"));
         for one in unplaced.iter().take(NAMED) {
-            self.display.note(&format!("not placed: {} ({}): {}", one.name, one.source, one.reason));
+            self.teller.note(&format!("not placed: {} ({}): {}", one.name, one.source, one.reason));
         }
         if unplaced.len() > NAMED {
             let more = unplaced.len() - NAMED;
-            self.display.note(&format!(
+            self.teller.note(&format!(
                 "not placed: {more} more, which {} shows",
                 self.folder.path("inspect.html").display()
             ));
         }
         if 2 * placed < all {
-            self.display.note(
+            self.teller.note(
                 "warning: less than half of the pictures have a camera: take more with more overlap, or try --matcher exhaustive",
             );
         }
@@ -415,7 +405,7 @@ impl Capture<'_> {
             inputs,
             |_: &Value| true,
             || {
-                let settings = trimip::settings::defaults().with("data.root", settings::scene_root(root)?)?;
+                let settings = trimip::settings::defaults().with("data.root", root.display().to_string())?;
                 let seen = trimip::inspect::inspect(settings, &unwatched)?;
                 let images = self.folder.path("images");
                 let of_unplaced = |one: &Unplaced| UnplacedPicture {
@@ -438,7 +428,7 @@ impl Capture<'_> {
                 Ok(Value::Null)
             },
         )?;
-        self.display.note(&format!("page: {}", path.display()));
+        self.teller.note(&format!("page: {}", path.display()));
         Ok(())
     }
 }

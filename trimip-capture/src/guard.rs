@@ -3,28 +3,45 @@
 //! a terminal reaches this program alone, which then ends the group.
 
 use std::{
+    ffi::OsString,
     io::Read,
-    path::Path,
-    process::{Command, ExitCode, ExitStatus, Stdio},
+    path::{Path, PathBuf},
+    process::{Command, ExitStatus, Stdio},
+    sync::OnceLock,
     thread,
 };
 use trimip::{Error, Result};
+
+/// The program that becomes a guard, and its first arguments.
+static PROGRAM: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
 /// Set in the environment of a guard.
 const GUARD: &str = "TRIMIP_GUARDS_A_PROGRAM";
 
 /// Exit code of a guard whose program cannot be started, by the convention of shells.
-pub const NOT_STARTED: u8 = 127;
+pub(crate) const NOT_STARTED: u8 = 127;
+
+/// Makes `program`, called with `arguments` and the words of a guarded program, the guard. By default it is this program. What becomes
+/// one calls [`run`] first of all where [`is_one`].
+pub fn set_program(program: PathBuf, arguments: Vec<OsString>) {
+    PROGRAM.get_or_init(|| (program, arguments));
+}
 
 /// A guarded program, to which arguments are added. While the pipe to its standard input is open it may run.
 ///
 /// # Errors
 /// When this program does not know its own path.
-pub fn command(program: &Path) -> Result<Command> {
-    let own = std::env::current_exe()
-        .map_err(|error| Error::device(format!("cannot find the path of this program: {error}")))?;
+pub(crate) fn command(program: &Path) -> Result<Command> {
+    let (own, arguments) = match PROGRAM.get() {
+        Some((own, arguments)) => (own.clone(), &arguments[..]),
+        None => {
+            let own = std::env::current_exe();
+            let unknown = |error| Error::device(format!("cannot find the path of this program: {error}"));
+            (own.map_err(unknown)?, &[][..])
+        }
+    };
     let mut command = Command::new(own);
-    command.arg(program).env(GUARD, "1").stdin(Stdio::piped());
+    command.args(arguments).arg(program).env(GUARD, "1").stdin(Stdio::piped());
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     Ok(command)
@@ -35,17 +52,17 @@ pub fn is_one() -> bool {
     std::env::var_os(GUARD).is_some()
 }
 
-/// Runs the program that the arguments name, and returns its exit code: 128 + the signal where one ended it.
-pub fn run() -> ExitCode {
-    let mut words = std::env::args_os().skip(1);
-    let Some(program) = words.next() else { return ExitCode::from(NOT_STARTED) };
+/// Runs the program that `words` name, with its arguments, and returns its exit code: 128 + the signal where one ended it.
+pub fn run(words: impl IntoIterator<Item = OsString>) -> u8 {
+    let mut words = words.into_iter();
+    let Some(program) = words.next() else { return NOT_STARTED };
     let mut command = Command::new(&program);
     command.args(words).env_remove(GUARD).stdin(Stdio::null());
     let mut child = match command.spawn() {
         Ok(child) => child,
         Err(error) => {
-            crate::terminal::aside(format!("{}: {error}", program.to_string_lossy()));
-            return ExitCode::from(NOT_STARTED);
+            eprintln!("{}: {error}", program.to_string_lossy());
+            return NOT_STARTED;
         }
     };
     let id = child.id();
@@ -56,9 +73,9 @@ pub fn run() -> ExitCode {
     };
     if thread::Builder::new().name("tie".into()).spawn(tie).is_err() {
         let _ = child.kill();
-        return ExitCode::from(NOT_STARTED);
+        return NOT_STARTED;
     }
-    child.wait().map_or(ExitCode::from(NOT_STARTED), |status| ExitCode::from(code(status)))
+    child.wait().map_or(NOT_STARTED, code)
 }
 
 /// The exit code of a program, or 128 + the signal that ended it.

@@ -1,7 +1,7 @@
 //! How far the picture of a film has moved: squares of a small picture are found again in a later one. The sum along the film is
 //! what frames are spread over, so that a camera that stands still gives few and one that goes on gives many.
 
-use crate::capture::grey::Grey;
+use crate::grey::Grey;
 
 /// Pixels along the longest side of the small pictures.
 const LONGEST: usize = 160;

@@ -14,7 +14,7 @@ use super::{
     process::{self, Call},
     programs::{self, Need},
 };
-use crate::args::PosesProgram;
+use crate::PosesProgram;
 use colmap::Colmap;
 use counts::Counter;
 use python::Python;
