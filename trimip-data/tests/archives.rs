@@ -1,8 +1,6 @@
 //! Scenes in zip archives: the views of the same folder, where they are unpacked, and archives that are refused.
 
-mod common;
-
-use common::{
+use crate::common::{
     assert_same, blender_scene,
     ring::{assert_cameras, cameras, pinhole},
     save_image, settings, write,

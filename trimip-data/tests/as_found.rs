@@ -1,9 +1,7 @@
 //! Data as people have it: what other programs, other machines and deleted photographs leave. Each kind is read right, with a warning
 //! where something was left out or found elsewhere.
 
-mod common;
-
-use common::{
+use crate::common::{
     assert_same, blender_scene,
     colmap::{Sparse, capture},
     frame, save_image, settings, write,

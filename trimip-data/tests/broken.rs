@@ -1,8 +1,6 @@
 //! Broken input: each case is one line that names the place, and nothing panics.
 
-mod common;
-
-use common::{blender_scene, frame, save_image, settings, write};
+use crate::common::{blender_scene, frame, save_image, settings, write};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use std::{fs, path::Path};

@@ -1,8 +1,6 @@
 //! Captures: the same cameras and pixels in every format, and what is read around a COLMAP model.
 
-mod common;
-
-use common::{
+use crate::common::{
     assert_same,
     colmap::{Sparse, capture, capture_by, later_models, models, rotation},
     save_image, settings, write,
@@ -602,7 +600,7 @@ fn each_broken_model_is_told_apart() {
     let folder = root.path().join("sparse/0");
     fs::remove_dir_all(&folder).unwrap();
     sparse.write_binary(&folder);
-    for (name, whole) in common::colmap::FILES.iter().zip(sparse.binary()) {
+    for (name, whole) in crate::common::colmap::FILES.iter().zip(sparse.binary()) {
         let path = folder.join(format!("{name}.bin"));
         for length in (0..whole.len()).step_by(whole.len() / 60 + 1) {
             fs::write(&path, &whole[..length]).unwrap();

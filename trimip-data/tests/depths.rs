@@ -1,8 +1,6 @@
 //! Depth images: the distances that they tell against the literal equation, which pixels are known, and what is wrong with a file.
 
-mod common;
-
-use common::{
+use crate::common::{
     ring::{arkitscenes, cameras, pinhole, polycam, save_images, transforms},
     settings, write,
 };

@@ -1,9 +1,7 @@
 //! Exports of other programs: the same cameras written by the conventions of OpenSfM, Bundler and Polycam are read as those of a
 //! transforms file, and what is broken is named.
 
-mod common;
-
-use common::{
+use crate::common::{
     ring::{assert_cameras, cameras, name, polycam, save_images, vision},
     save_image, settings, write,
 };

@@ -1,9 +1,7 @@
 //! Scenes on disk of which one file is changed at random open, or give an input error that names a file.
 //! `TRIMIP_FUZZ_CASES` is the number of cases of each. The readers alone are tried in `tests/tests/formats.rs`.
 
-mod common;
-
-use common::{
+use crate::common::{
     blender_scene,
     colmap::capture,
     frame, save_image, settings, write,

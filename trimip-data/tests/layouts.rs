@@ -1,8 +1,6 @@
 //! Layouts: what one reads is what another writes, and what the files say is what the views hold.
 
-mod common;
-
-use common::{assert_same, blender_scene, frame, save_image, settings, write};
+use crate::common::{assert_same, blender_scene, frame, save_image, settings, write};
 use serde_json::{Value, json};
 use std::{fs, path::Path};
 use trimip_core::{Alpha, Lens, ViewSet, config::Convention};

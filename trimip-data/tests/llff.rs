@@ -1,9 +1,7 @@
 //! LLFF captures: the rays of `poses_bounds.npy` are those of the same cameras in `transforms.json`, and what does not fit is
 //! refused with its place.
 
-mod common;
-
-use common::{assert_same, save_image, settings, write};
+use crate::common::{assert_same, save_image, settings, write};
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::{fs, path::Path};

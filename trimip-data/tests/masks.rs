@@ -1,8 +1,6 @@
 //! Masks: where they are found, what they mean, and what becomes of the pixels that they do not keep.
 
-mod common;
-
-use common::{frame, settings, write};
+use crate::common::{frame, settings, write};
 use image::{DynamicImage, ImageBuffer, Luma, Rgb};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -263,7 +261,7 @@ fn alpha_cannot_mean_two_things() {
     let folder = tempfile::tempdir().unwrap();
     scene(folder.path(), [0; 3], |i, entry| entry["mask_path"] = json!(format!("m{i}.png")));
     (0..4).for_each(|i| mask(&folder.path().join(format!("m{i}.png")), SIZE, right));
-    common::save_image(&folder.path().join("images/a/2.png"), SIZE.0, SIZE.1);
+    crate::common::save_image(&folder.path().join("images/a/2.png"), SIZE.0, SIZE.1);
     let error = open(&settings(folder.path(), 1)).unwrap_err();
     for part in
         ["images/a/2.png has transparent pixels", "alpha cannot mean both", "data.mask_role = \"object\""]

@@ -1,8 +1,6 @@
 //! Photographs as cameras store them: orientation tags, formats that are not read, names that do not tell the format.
 
-mod common;
-
-use common::{blender_scene, frame, save_image, settings, write};
+use crate::common::{blender_scene, frame, save_image, settings, write};
 use image::{
     DynamicImage, ImageBuffer, ImageEncoder, Rgb,
     codecs::{jpeg::JpegEncoder, png::PngEncoder},

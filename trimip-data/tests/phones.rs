@@ -1,8 +1,6 @@
 //! Captures of phones: the same cameras as Record3D, ARKitScenes and NeRFCapture write them, and what is broken.
 
-mod common;
-
-use common::{
+use crate::common::{
     ring::{arkitscenes, assert_cameras, cameras, pinhole, save_images},
     save_image, settings, write,
 };

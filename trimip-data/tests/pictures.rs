@@ -1,8 +1,6 @@
 //! Photographs in WebP, TIFF and BMP: the same pixels as in PNG, found by their names, and refused where they are broken.
 
-mod common;
-
-use common::{assert_same, frame, save_image, settings, write};
+use crate::common::{assert_same, frame, save_image, settings, write};
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, Rgba};
 use serde_json::{Value, json};
 use std::{fs, io::Cursor, path::Path};

@@ -1,9 +1,7 @@
 //! Every registered camera model in files: transforms, multi-scale sets and COLMAP models, read, written and read again; and the
 //! built-in scene through its cameras. A new model is tested without a line here.
 
-mod common;
-
-use common::{colmap::Sparse, save_image};
+use crate::common::{colmap::Sparse, save_image};
 use glam::DVec3;
 use serde_json::{Value, json};
 use std::path::Path;

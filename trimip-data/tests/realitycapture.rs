@@ -1,8 +1,6 @@
 //! Camera parameters of RealityCapture and RealityScan: a line is read as RealityCapture's own formulas say, and what is broken is named.
 
-mod common;
-
-use common::{save_image, settings};
+use crate::common::{save_image, settings};
 use glam::{DMat3, DVec3};
 use std::{fs, path::Path};
 use trimip_core::{Intrinsics, Lens};

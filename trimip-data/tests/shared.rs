@@ -1,9 +1,7 @@
 //! The shared photographs: the public multi-scale set bit for bit, and scenes of other makes. Without the folder
 //! (`TRIMIP_SHARED`) each test says so and passes.
 
-mod common;
-
-use common::{settings, shared};
+use crate::common::{settings, shared};
 use glam::DVec3;
 use trimip_core::{Alpha, Camera, config::Convention};
 use trimip_data::settings::DataConfig;

@@ -1,12 +1,10 @@
 //! Models of COLMAP as COLMAP, RealityScan, Metashape and BlenderNeRF write them.
 
-use crate::{
-    Input,
-    common::{
-        colmap::Sparse,
-        ring::{cameras, pinhole, vision},
-        save_image,
-    },
+use super::Input;
+use crate::common::{
+    colmap::Sparse,
+    ring::{cameras, pinhole, vision},
+    save_image,
 };
 use glam::DQuat;
 use std::{fs, path::Path};

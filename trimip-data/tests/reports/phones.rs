@@ -1,11 +1,9 @@
 //! Exports of Polycam and captures of Record3D and ARKitScenes.
 
-use crate::{
-    Input,
-    common::{
-        ring::{cameras, pinhole, vision},
-        save_image, write,
-    },
+use super::Input;
+use crate::common::{
+    ring::{cameras, pinhole, vision},
+    save_image, write,
 };
 use glam::DQuat;
 use serde_json::{Value, json};

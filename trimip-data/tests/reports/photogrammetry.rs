@@ -1,11 +1,9 @@
 //! Exports of Metashape, RealityCapture, OpenSfM and LLFF's script.
 
-use crate::{
-    Input,
-    common::{
-        ring::{cameras, pinhole, vision},
-        save_image, write,
-    },
+use super::Input;
+use crate::common::{
+    ring::{cameras, pinhole, vision},
+    save_image, write,
 };
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};

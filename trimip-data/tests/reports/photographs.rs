@@ -1,12 +1,10 @@
 //! Photographs of kinds that some programs do not read.
 
-use crate::{
-    Input,
-    common::{
-        frame,
-        ring::{cameras, pinhole},
-        write,
-    },
+use super::Input;
+use crate::common::{
+    frame,
+    ring::{cameras, pinhole},
+    write,
 };
 use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb};
 use serde_json::{Value, json};

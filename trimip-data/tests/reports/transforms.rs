@@ -1,11 +1,9 @@
 //! Files of Instant-NGP and nerfstudio, as their own scripts, other programs and people write them.
 
-use crate::{
-    Input,
-    common::{
-        ring::{cameras, name, pinhole, save_images},
-        save_image, write,
-    },
+use super::Input;
+use crate::common::{
+    ring::{cameras, name, pinhole, save_images},
+    save_image, write,
 };
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};

@@ -1,9 +1,7 @@
 //! Cameras on a rail: the rays of `dummy.txt` are those of the same cameras in `transforms.json`, and what does not fit is refused
 //! with its place.
 
-mod common;
-
-use common::{assert_same, save_image, settings, write};
+use crate::common::{assert_same, save_image, settings, write};
 use serde_json::json;
 use std::{fs, path::Path};
 use trimip_data::open;

@@ -1,16 +1,13 @@
 //! What people reported of their data to the trackers of other programs: each entry of `../data/reports.toml` names an input, which is
 //! written and opened here, and what must come out.
 
-#[path = "../common/mod.rs"]
-mod common;
-
 mod colmap;
 mod phones;
 mod photogrammetry;
 mod photographs;
 mod transforms;
 
-use common::{ring, settings};
+use crate::common::{ring, settings};
 use serde::Deserialize;
 use std::{collections::BTreeSet, path::Path};
 use trimip_core::Camera;
