@@ -71,8 +71,9 @@ pub fn capture(
     let listener = Listener::new(callback);
     let outcome = py.detach(|| {
         std::thread::scope(|scope| {
-            let tell = |event: &Event<'_>| listener.tell(event);
-            let work = scope.spawn(|| trimip_capture::run(&request, &listener.stop, &tell));
+            let work = scope.spawn(|| {
+                trimip_capture::run(&request, &listener.stop, &|event: &Event<'_>| listener.tell(event))
+            });
             while !work.is_finished() {
                 std::thread::sleep(PATIENCE);
                 listener.check_signals();
