@@ -75,6 +75,7 @@ impl Run<'_> {
         let attempt = self.measure_views(&chain, allowed, keeper, false);
         keeper.spend(started.elapsed().as_secs_f64());
         if let Attempt::Measured(coverage) = attempt? {
+            keeper.covered(coverage.stride);
             self.report(&coverage, [coverage.stride, stride], Moment { totals, last: false, started });
         }
         Ok(())
@@ -117,9 +118,10 @@ impl Run<'_> {
             }
         };
         self.store.evaluated()?;
-        // The last point of the curve uses the same views as the other points.
-        if self.config.eval.points > 0 && curve != coverage.stride && curve.is_multiple_of(coverage.stride) {
-            self.report(&coverage, [curve, curve], Moment { totals, last: false, started });
+        // The last point of the curve uses the same views as most other points.
+        let usual = keeper.usual_stride(curve);
+        if self.config.eval.points > 0 && usual != coverage.stride && usual.is_multiple_of(coverage.stride) {
+            self.report(&coverage, [usual, curve], Moment { totals, last: false, started });
         }
         let mean = self.report(&coverage, [coverage.stride, wanted], Moment { totals, last: true, started });
         mean.judge(&self.config.eval)?;

@@ -1,6 +1,8 @@
 //! Limits the time of evaluations to a share of the training time. The time per pixel is predicted from the current
 //! time per training ray and from the last evaluation. The number of views is decided while they are rendered.
 
+use std::cmp::Reverse;
+
 /// Fraction of the evaluations' share that goes to those during training; the final evaluation gets the rest.
 const ON_THE_WAY: f64 = 0.6;
 
@@ -20,12 +22,14 @@ pub struct Timekeeper {
     ray: f64,
     /// Seconds per pixel in the last evaluation, and seconds per training ray at that time.
     measured: Option<[f64; 2]>,
+    /// Strides of the evaluations during training.
+    covered: Vec<usize>,
 }
 
 impl Timekeeper {
     /// Limits `points` evaluations during training and a final one to `fraction` of the training time; 0 means no limit.
     pub fn new(fraction: f64, points: u32) -> Self {
-        Self { fraction, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None }
+        Self { fraction, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None, covered: Vec::new() }
     }
 
     /// Records `seconds` of training with `rays` rays.
@@ -45,6 +49,18 @@ impl Timekeeper {
         if pixels > 0.0 {
             self.measured = Some([seconds / pixels, self.ray]);
         }
+    }
+
+    /// Records that an evaluation during training measured every `stride`-th view.
+    pub fn covered(&mut self, stride: usize) {
+        self.covered.push(stride);
+    }
+
+    /// The stride of most evaluations during training, the finer of two; `wanted` if there was none.
+    pub fn usual_stride(&self, wanted: usize) -> usize {
+        let times = |stride: usize| self.covered.iter().filter(|other| **other == stride).count();
+        let usual = self.covered.iter().copied().max_by_key(|&stride| (times(stride), Reverse(stride)));
+        usual.unwrap_or(wanted)
     }
 
     /// Predicted seconds per pixel.
@@ -165,6 +181,16 @@ mod tests {
             keeper.rendered(10.0, 1e6 / f64::from(factor * factor));
             assert_eq!(keeper.finest(1e6, 9.0, 8), 2 * factor);
         }
+    }
+
+    #[test]
+    fn the_usual_stride_is_that_of_most_evaluations() {
+        let mut keeper = Timekeeper::new(0.25, 6);
+        assert_eq!(keeper.usual_stride(5), 5);
+        [12, 6, 6, 3, 3].into_iter().for_each(|stride| keeper.covered(stride));
+        assert_eq!(keeper.usual_stride(5), 3);
+        keeper.covered(6);
+        assert_eq!(keeper.usual_stride(5), 6);
     }
 
     #[test]

@@ -14,11 +14,11 @@ fn pyramid(config: &Config) -> Pyramid {
 impl Definition for Planes {
     fn describe(&self, config: &Config) -> String {
         let encoder = &config.encoder;
-        let sizes = match pyramid(config).sides {
-            [x, y, z] if x == y && y == z => format!("3 planes of {x}×{x}×{CHANNELS}"),
-            [x, y, z] => {
-                format!("planes of {y}×{z}, {x}×{z} and {x}×{y} texels, {CHANNELS} channels,")
-            }
+        let mut sides = pyramid(config).sides;
+        sides.sort();
+        let sizes = match sides {
+            [x, _, z] if x == z => format!("3 planes of {x}×{x}×{CHANNELS}"),
+            [_, y, z] => format!("3 planes of up to {y}×{z}×{CHANNELS}"),
         };
         match (encoder.mipmap, encoder.levels) {
             (false, _) => format!("{sizes} with no mipmap"),
