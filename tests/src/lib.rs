@@ -1,5 +1,5 @@
 //! Shared parts of the tests across crates: the whole model in f64 ([`mod@reference`]), small test problems
-//! ([`fixtures`]), the program under test ([`binary`]), the tests that every backend must pass ([`suite`]), what any bytes
+//! ([`fixtures`]), the program under test ([`binary`]), its pages ([`pages`]), the tests that every backend must pass ([`suite`]), what any bytes
 //! get from every reader ([`formats`]), zip archives of any kind ([`zip`]), and the lists of ARCHITECTURE.md ([`lists`]).
 
 #![deny(unsafe_code)]
@@ -11,6 +11,7 @@ pub mod formats;
 #[cfg(feature = "wgpu")]
 pub mod gpu;
 pub mod lists;
+pub mod pages;
 pub mod ranks;
 pub mod reference;
 pub mod suite;

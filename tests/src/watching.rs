@@ -470,6 +470,22 @@ impl Browser {
         }
     }
 
+    /// True if screenshots are kept for a person: `TRIMIP_SCREENSHOTS` names their folder.
+    pub fn keeps() -> bool {
+        std::env::var_os("TRIMIP_SCREENSHOTS").is_some()
+    }
+
+    /// Keeps a screenshot, if they are kept.
+    ///
+    /// # Panics
+    /// If it cannot be written.
+    pub fn keep(&mut self, name: &str) {
+        if let Some(folder) = std::env::var_os("TRIMIP_SCREENSHOTS") {
+            std::fs::write(Path::new(&folder).join(name), self.screenshot())
+                .expect("the folder of screenshots");
+        }
+    }
+
     /// A PNG of the window.
     ///
     /// # Panics

@@ -8,6 +8,7 @@ use trimip_core::{
 };
 use trimip_tests::{
     binary::{command, root, run, tiny, tiny_and},
+    pages::expect_fits,
     zip::{Entry, archive, packed},
 };
 
@@ -379,6 +380,7 @@ fn a_bench_lays_variants_and_seeds_beside_each_other() {
     assert!(fs::read_to_string(folder.path().join("b/bench.svg")).unwrap().starts_with("<svg"));
     let page = fs::read_to_string(folder.path().join("b/bench.html")).unwrap();
     assert!(page.starts_with("<!doctype html>") && page.contains("<svg") && page.contains("no mip"));
+    expect_fits(&folder.path().join("b/bench.html"));
     // Finished runs are not repeated.
     let model = folder.path().join("b/no-mip-1/model.safetensors");
     let before = fs::metadata(&model).unwrap().modified().unwrap();

@@ -6,6 +6,7 @@ use std::{fs, path::Path, process::Stdio, time::Duration};
 use trimip::systems::SYSTEMS;
 use trimip_core::field::model::Model;
 use trimip_tests::binary::{Answer, command, refuses, run};
+use trimip_tests::pages::expect_fits;
 
 /// Writes two of the Blender scenes' names as small scenes.
 fn scenes(here: &Path) {
@@ -82,6 +83,7 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     {
         assert!(answer.err.contains(told), "no `{told}` in {}", answer.err);
     }
+    expect_fits(&here.join("out/paper.html"));
     let (html, report) = (page(here), json(here));
     let markdown = fs::read_to_string(here.join("out/paper.md")).unwrap();
     let latex = fs::read_to_string(here.join("out/paper.tex")).unwrap();

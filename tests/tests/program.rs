@@ -15,6 +15,7 @@ mod kills;
 mod limits;
 mod motion;
 mod others;
+mod pages;
 mod paper;
 mod ranks;
 mod run_folder;

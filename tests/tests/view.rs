@@ -421,7 +421,7 @@ fn the_page_works_in_a_browser() {
 
     let picture = browser.screenshot();
     assert!(image::load_from_memory(&picture).is_ok_and(|picture| picture.width() >= 1000));
-    keep("view.png", &picture);
+    browser.keep("view.png");
 
     // The report of the run, and back.
     assert_eq!(browser.value("document.getElementById('report').hidden"), false);
@@ -506,7 +506,7 @@ fn photographs_are_listed_by_their_names() {
         browser.value("document.getElementById('next').click()");
         assert_eq!(browser.value("document.getElementById('cameras').title"), name);
     }
-    keep("names.png", &browser.screenshot());
+    browser.keep("names.png");
 }
 
 #[test]
@@ -557,13 +557,6 @@ fn a_place_opens_at_a_photograph_and_home_returns_there() {
     browser.wait(&format!("{PICTURE} === {first}"));
 }
 
-/// Keeps a screenshot for a person, where `TRIMIP_SCREENSHOTS` names a folder.
-fn keep(name: &str, picture: &[u8]) {
-    if let Some(folder) = std::env::var_os("TRIMIP_SCREENSHOTS") {
-        std::fs::write(Path::new(&folder).join(name), picture).unwrap();
-    }
-}
-
 #[test]
 fn a_run_is_watched_in_a_browser() {
     let folder = tempfile::tempdir().unwrap();
@@ -576,7 +569,7 @@ fn a_run_is_watched_in_a_browser() {
     browser.wait("document.querySelectorAll('#curve circle').length > 1");
     let first = browser.value(PICTURE);
     browser.wait(&format!("{PICTURE} !== {first}"));
-    keep("training.png", &browser.screenshot());
+    browser.keep("training.png");
     browser.value("document.getElementById('pause').click()");
     browser.wait("document.getElementById('state').textContent === 'paused'");
     browser.value("document.getElementById('pause').click()");

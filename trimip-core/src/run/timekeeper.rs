@@ -29,7 +29,15 @@ pub struct Timekeeper {
 impl Timekeeper {
     /// Limits `points` evaluations during training and a final one to `fraction` of the training time; 0 means no limit.
     pub fn new(fraction: f64, points: u32) -> Self {
-        Self { fraction, points: points.max(1).into(), passed: 0.0, spent: 0.0, ray: 0.0, measured: None, covered: Vec::new() }
+        Self {
+            fraction,
+            points: points.max(1).into(),
+            passed: 0.0,
+            spent: 0.0,
+            ray: 0.0,
+            measured: None,
+            covered: Vec::new(),
+        }
     }
 
     /// Records `seconds` of training with `rays` rays.

@@ -34,9 +34,12 @@ const USUAL_PLACE: f64 = 20.0;
 /// Fraction of a step's pixels that are drawn by their errors.
 const BY_ERROR: f64 = 0.8;
 
-/// Most samples of a run per pixel of its photographs for an error map. With 15 of them (*dtu24*), pixels that stay wrong are those that
+/// Most rays of a run per pixel of its photographs for an error map. With 5 of them (*dtu24*), pixels that stay wrong are those that
 /// photographs contradict, and the map gains nothing.
-const SEEN_LITTLE: f64 = 4.0;
+const SEEN_LITTLE: f64 = 2.0;
+
+/// Kept samples of a ray, of objects and of places.
+const SAMPLES_PER_RAY: [f64; 2] = [2.0, 5.0];
 
 /// Alpha of an opaque pixel.
 const OPAQUE: u8 = 255;
@@ -212,14 +215,19 @@ pub(super) fn error_map(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("the scales show different photographs".into());
     }
     let pixels = context.facts.train.pixels.len() as f64;
-    if context.budget() > SEEN_LITTLE * pixels {
-        return Proposal::Keep(format!("the budget sees each of {:.1} M pixels often", 1e-6 * pixels));
+    let [object, place] = SAMPLES_PER_RAY;
+    let samples_per_ray = match context.now.scene.contraction {
+        Contraction::None => object,
+        Contraction::Ball => place,
+    };
+    let seen = context.budget() / samples_per_ray / pixels;
+    let often =
+        format!("the budget sees each of {:.1} M pixels about {} times", 1e-6 * pixels, significant(seen));
+    if seen > SEEN_LITTLE {
+        return Proposal::Keep(often);
     }
     Proposal::Set {
-        reason: format!(
-            "the budget sees each of {:.1} M pixels rarely: most are drawn where the errors of earlier ones are large",
-            1e-6 * pixels
-        ),
+        reason: format!("{often}: most are drawn where the errors of earlier ones are large"),
         changes: vec![("train.error_map", Value::Float(BY_ERROR))],
     }
 }

@@ -1,0 +1,62 @@
+//! What holds of every page that the program writes, in a real browser: it fits telephones and wide screens.
+
+use crate::watching::Browser;
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Widths of the windows, pixels: a telephone, a laptop and a wide screen.
+const WIDTHS: [u32; 3] = [390, 1200, 1920];
+
+/// Height of the windows, pixels, and of the largest picture of a page.
+const HEIGHT: u32 = 900;
+const TALLEST: u64 = 12_000;
+
+/// What is cut off: elements that reach out of the window, unless they lie in something that scrolls, and labels that reach out of
+/// their drawing. Sections that are closed are opened first.
+const CUT_OFF: &str = "(() => {
+    document.querySelectorAll('details').forEach((part) => { part.open = true; });
+    const scrolls = (element) => element && element !== document.body
+        && (/auto|scroll/.test(getComputedStyle(element).overflowX) || scrolls(element.parentElement));
+    const told = (element) => `${element.tagName} ${element.getAttribute('class') ?? ''}: ${element.textContent.slice(0, 40)}`;
+    const out = [];
+    for (const element of document.body.querySelectorAll('*')) {
+        const own = element.getBoundingClientRect();
+        if (own.width === 0 || own.height === 0 || scrolls(element)) continue;
+        const drawing = element.tagName === 'text' ? element.closest('svg').getBoundingClientRect() : { left: 0, right: innerWidth };
+        if (own.right > drawing.right + 1 || own.left < drawing.left - 1) out.push(told(element));
+    }
+    return out;
+})()";
+
+/// Opens a page in windows of all widths, light, dark and as it is printed.
+///
+/// # Panics
+/// If anything of it is cut off.
+pub fn expect_fits(path: &Path) {
+    let Some(mut browser) = Browser::start(WIDTHS[1], HEIGHT) else { return };
+    let name = path.file_stem().expect("a page has a name").to_string_lossy().into_owned();
+    browser.open(&format!("file://{}", path.canonicalize().expect("the page is there").display()));
+    browser.wait("document.readyState === 'complete' && document.querySelector('main') !== null");
+    for width in WIDTHS {
+        for (look, media, scheme) in
+            [("light", "screen", "light"), ("dark", "screen", "dark"), ("print", "print", "light")]
+        {
+            let scheme = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
+            browser.call("Emulation.setEmulatedMedia", json!({ "media": media, "features": scheme }));
+            resize(&mut browser, width, HEIGHT);
+            let cut_off = browser.value(CUT_OFF);
+            assert_eq!(cut_off, json!([]), "{name} at {width} pixels, {look}");
+            if Browser::keeps() {
+                let tall = browser.value("document.documentElement.scrollHeight").as_u64().unwrap_or(0);
+                resize(&mut browser, width, tall.clamp(HEIGHT.into(), TALLEST) as u32);
+                browser.keep(&format!("{name}-{width}-{look}.png"));
+            }
+        }
+    }
+}
+
+fn resize(browser: &mut Browser, width: u32, height: u32) {
+    let size: Value = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+    browser.call("Emulation.setDeviceMetricsOverride", size);
+    browser.wait(&format!("innerWidth === {width}"));
+}
