@@ -4,8 +4,11 @@ use crate::watching::Browser;
 use serde_json::{Value, json};
 use std::path::Path;
 
+/// Width of a telephone, pixels.
+pub const TELEPHONE: u32 = 390;
+
 /// Widths of the windows, pixels: a telephone, a laptop and a wide screen.
-const WIDTHS: [u32; 3] = [390, 1200, 1920];
+const WIDTHS: [u32; 3] = [TELEPHONE, 1200, 1920];
 
 /// Height of the windows, pixels, and of the largest picture of a page.
 const HEIGHT: u32 = 900;
@@ -44,8 +47,7 @@ pub fn expect_fits(path: &Path) {
             let scheme = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
             browser.call("Emulation.setEmulatedMedia", json!({ "media": media, "features": scheme }));
             resize(&mut browser, width, HEIGHT);
-            let cut_off = browser.value(CUT_OFF);
-            assert_eq!(cut_off, json!([]), "{name} at {width} pixels, {look}");
+            expect_nothing_cut_off(&mut browser, &format!("{name} at {width} pixels, {look}"));
             if Browser::keeps() {
                 let tall = browser.value("document.documentElement.scrollHeight").as_u64().unwrap_or(0);
                 resize(&mut browser, width, tall.clamp(HEIGHT.into(), TALLEST) as u32);
@@ -55,7 +57,16 @@ pub fn expect_fits(path: &Path) {
     }
 }
 
-fn resize(browser: &mut Browser, width: u32, height: u32) {
+/// Asserts that nothing of the page that is open is cut off; `what` describes it.
+///
+/// # Panics
+/// If something is.
+pub fn expect_nothing_cut_off(browser: &mut Browser, what: &str) {
+    assert_eq!(browser.value(CUT_OFF), json!([]), "{what}");
+}
+
+/// Gives the page a window of this size, pixels. Chromium's own are not as narrow as telephones.
+pub fn resize(browser: &mut Browser, width: u32, height: u32) {
     let size: Value = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
     browser.call("Emulation.setDeviceMetricsOverride", size);
     browser.wait(&format!("innerWidth === {width}"));

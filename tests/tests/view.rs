@@ -7,6 +7,7 @@ use std::path::Path;
 use std::process::Stdio;
 use trimip_data::settings::DataConfig;
 use trimip_tests::binary::{command, refuses, run, tiny_and};
+use trimip_tests::pages::{TELEPHONE, expect_nothing_cut_off, resize};
 use trimip_tests::watching::{Browser, Page, Received, Shown, view};
 
 /// A trained run in `here/run`.
@@ -555,6 +556,23 @@ fn a_place_opens_at_a_photograph_and_home_returns_there() {
     assert!(is_home(&mut browser));
     assert_eq!(browser.value("document.getElementById('cameras').value"), "");
     browser.wait(&format!("{PICTURE} === {first}"));
+}
+
+#[test]
+fn the_page_fits_a_telephone() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    trained(here);
+    let shown = Shown::start(here, "run");
+    let Some(mut browser) = Browser::start(500, 800) else { return };
+    resize(&mut browser, TELEPHONE, 800);
+    browser.open(&shown.address());
+    browser.wait(FINEST);
+    expect_nothing_cut_off(&mut browser, "the viewer");
+    browser.keep("telephone.png");
+    browser.value("document.getElementById('show-keys').click()");
+    expect_nothing_cut_off(&mut browser, "the list of keys");
+    browser.keep("telephone-keys.png");
 }
 
 #[test]

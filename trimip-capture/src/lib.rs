@@ -1,6 +1,8 @@
 //! From a film or a folder of photographs to a scene with cameras: pictures, features, matches, a model and a page, each a stage that
 //! is kept once it is done. Other programs do the work; this one finds them, chooses, watches and checks.
 
+#![forbid(unsafe_code)]
+
 mod ability;
 mod database;
 mod decisions;

@@ -45,6 +45,15 @@ impl std::fmt::Display for Origin {
     }
 }
 
+/// The origin of this text, which [`Display`](std::fmt::Display) writes.
+impl From<&str> for Origin {
+    fn from(text: &str) -> Self {
+        let known = [Self::Default, Self::CommandLine, Self::Code, Self::Plan];
+        let found = known.into_iter().find(|origin| origin.to_string() == text);
+        found.unwrap_or_else(|| Self::File(text.into()))
+    }
+}
+
 /// Every setting by its dotted path, with its effective value and origin.
 #[derive(Clone)]
 pub struct Settings {
@@ -189,6 +198,18 @@ impl Settings {
     /// Where the effective value of a setting came from.
     pub fn origin(&self, path: &str) -> &Origin {
         self.entries.get(path).map_or(&Origin::Default, |(_, origin)| origin)
+    }
+
+    /// Says where the effective value of a setting came from; nothing happens if there is no such setting. [`Origin::Default`] also gives
+    /// it the form of the default.
+    pub fn set_origin(&mut self, path: &str, origin: Origin) {
+        let Some((value, own)) = self.entries.get_mut(path) else { return };
+        if origin == Origin::Default
+            && let Some((_, default)) = self.definitions.defaults().find(|(known, _)| *known == path)
+        {
+            *value = default.clone();
+        }
+        *own = origin;
     }
 
     fn put(&mut self, path: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
@@ -337,6 +358,22 @@ fn place(name: &str, text: &str, offset: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn origins_are_read_back() {
+        let file = Origin::File("run.toml:3:1".into());
+        for origin in [Origin::Default, file, Origin::CommandLine, Origin::Code, Origin::Plan] {
+            assert_eq!(Origin::from(&*origin.to_string()), origin);
+        }
+        let mut settings = Settings::defaults();
+        settings.set_origin("seed", Origin::Plan);
+        settings.set_origin("nothing.of.this", Origin::Plan);
+        assert_eq!([settings.origin("seed"), settings.origin("threads")], [&Origin::Plan, &Origin::Default]);
+        let before = settings.value("encoder.halvings");
+        settings.apply_file("run.toml", "[encoder]\nhalvings = [[0.0, 0.0]]\n").unwrap();
+        settings.set_origin("encoder.halvings", Origin::Default);
+        assert_eq!(settings.value("encoder.halvings"), before, "the form of the default");
+    }
 
     #[test]
     fn a_later_layer_wins_and_is_named() {

@@ -2,8 +2,9 @@
 
 use super::{folder::RunFolder, history::History, train::Trained};
 use crate::report::{Report, Status};
+use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Config, Error, Result, Settings, measures::quality::mean_quality};
+use trimip_core::{Config, Error, Origin, Result, Settings, measures::quality::mean_quality};
 
 /// A run: its folder, its settings and what happened in it.
 #[derive(Clone, Debug)]
@@ -40,6 +41,7 @@ impl Recorded {
         let text = trimip_core::text::read(&config, "name the folder of a run")?;
         let mut settings = crate::settings::defaults();
         settings.apply_file(&config.display().to_string(), &text)?;
+        restore_origins(&mut settings, &folder);
         let config = Config::from_settings(&settings)?;
         let history = History::of(&folder.events());
         let status = match history.last() {
@@ -72,6 +74,33 @@ impl Recorded {
         let status = self.status.clone();
         Report::gather(&self.folder, status, &self.scene, &self.config, &self.settings, &self.history)
     }
+}
+
+/// True for equal values; a number is the same with and without a decimal point.
+fn is_same(a: &Value, b: &Value) -> bool {
+    match (a, b) {
+        (Value::Number(a), Value::Number(b)) => a.as_f64() == b.as_f64(),
+        (Value::Array(a), Value::Array(b)) => {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| is_same(a, b))
+        }
+        _ => a == b,
+    }
+}
+
+/// Gives settings the origins that the report of their run states, where it states the same values. Without a report they stay.
+fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
+    let text = std::fs::read_to_string(folder.json()).unwrap_or_default();
+    let report: Value = serde_json::from_str(&text).unwrap_or_default();
+    let stated = |path: &str, value: &toml::Value| -> Option<Origin> {
+        let stated = report["settings"].get(path)?;
+        let same = serde_json::to_value(value).is_ok_and(|value| is_same(&value, &stated["value"]));
+        stated["origin"].as_str().filter(|_| same).map(Origin::from)
+    };
+    let found: Vec<_> = settings
+        .iter()
+        .filter_map(|(path, value, _)| stated(path, value).map(|origin| (path.to_string(), origin)))
+        .collect();
+    found.into_iter().for_each(|(path, origin)| settings.set_origin(&path, origin));
 }
 
 /// The state of a finished run whose quality is judged.
