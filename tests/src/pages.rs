@@ -14,8 +14,8 @@ const WIDTHS: [u32; 3] = [TELEPHONE, 1200, 1920];
 const HEIGHT: u32 = 900;
 const TALLEST: u64 = 12_000;
 
-/// What is cut off: elements that reach out of the window, unless they lie in something that scrolls, and labels that reach out of
-/// their drawing. Sections that are closed are opened first.
+/// Lists what is cut off. An element is cut off where it reaches out of the window and nothing around it scrolls, a label where it
+/// reaches out of its drawing. Closed sections are opened first.
 const CUT_OFF: &str = "(() => {
     document.querySelectorAll('details').forEach((part) => { part.open = true; });
     const scrolls = (element) => element && element !== document.body

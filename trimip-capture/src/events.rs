@@ -1,4 +1,4 @@
-//! What a capture tells while it goes on.
+//! Events of a capture.
 
 use serde::Serialize;
 use std::cell::Cell;

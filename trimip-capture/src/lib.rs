@@ -67,8 +67,8 @@ struct Placement {
     models: Models,
 }
 
-/// Captures what the request names. What an earlier call did is kept. `events` is told of every step; `stop`, once set, ends the
-/// programs that run and the call.
+/// Captures what `request` names, and goes on from what an earlier call did. `events` gets every event. A caller that sets `stop` ends
+/// the call and the programs that it runs.
 ///
 /// # Errors
 /// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` after a stop.

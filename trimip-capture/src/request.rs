@@ -73,7 +73,7 @@ pub enum Mapper {
     Global,
 }
 
-/// What is captured, and how. `None` leaves a decision to the program.
+/// What is captured, and how. The program decides what is `None`.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// A film, a folder of photographs, or a zip archive of either.

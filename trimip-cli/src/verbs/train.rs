@@ -130,7 +130,8 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
-/// Tells that the folder already held this run, whose report may have been that of an earlier stop, of another floor, or half of one.
+/// Tells that the folder already held this run. The caller has written its report again: an earlier stop or another floor may have
+/// left a different one.
 fn already_finished(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let finished = vec![format!(
         "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",

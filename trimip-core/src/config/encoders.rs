@@ -89,7 +89,7 @@ section!(
     VoxelsConfig, "voxels" { sides: Schedule, harmonics: u32, density_rate: f64, color_rate: f64 }
 );
 
-/// What a schedule of detail that is left out must be.
+/// The form of a schedule of left-out detail, for errors.
 const FALLING: &str = "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers";
 
 impl EncoderConfig {
