@@ -377,6 +377,44 @@ fn pictures_that_no_camera_is_found_of_are_refused() {
 }
 
 #[test]
+fn a_model_with_lost_cameras_is_tried_again_without_distortion() {
+    let place = Place::new();
+    place.colmap("3.8");
+    place.lost_models(&[3, 7], &[7]);
+    let told = place.captures(&["walk"]);
+    let calls = place.calls();
+    assert!(
+        calls.len() == 4 && calls[2].ends_with("--output_path models.part --Mapper.num_threads -1"),
+        "{calls:?}"
+    );
+    let again = "--output_path again.part --Mapper.num_threads -1 --Mapper.ba_refine_extra_params 0";
+    assert!(calls[3].ends_with(again), "{calls:?}");
+    for part in [
+        "2 of 12 stand more than 1000 times as far from the middle as half of them",
+        "once more, for a lens without distortion",
+        "11 of 12 pictures placed",
+        "not placed: 07.jpg (07.jpg): its camera stands more than 1000 times as far",
+    ] {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    assert!(!told.contains("not placed: 03.jpg"), "{told}");
+    let page = fs::read_to_string(place.path("captures/walk/inspect.html")).unwrap();
+    assert!(page.contains("Without a camera") && page.contains("07.jpg"));
+    let left: Vec<PathBuf> = files(&place.path("captures/walk")).into_keys().collect();
+    assert!(left.iter().all(|path| !path.to_string_lossy().contains("again")), "{left:?}");
+    // The photograph is left out of whatever reads the scene.
+    let inspected = place.run(&["data", "inspect", "captures/walk"]);
+    assert!(inspected.out.contains("1 of 12 photographs, the first 07.jpg"), "{inspected:?}");
+
+    // The first model stays if the second one is no better, and a lens without distortion has no second one.
+    place.lost_models(&[7], &[3, 7]);
+    assert!(place.captures(&["walk", "--out", "b"]).contains("11 of 12 pictures placed"));
+    assert_eq!(place.calls().len(), 4);
+    assert!(place.captures(&["walk", "--out", "c", "--camera", "pinhole"]).contains("11 of 12"));
+    assert_eq!(place.calls().len(), 3);
+}
+
+#[test]
 fn heic_is_converted_and_left_as_it_is() {
     let place = Place::new();
     place.colmap("3.8");

@@ -64,6 +64,17 @@ fn a_folder_is_all_that_a_user_types() {
     refused(&run(folder, &["empty", "--minutes", "-1"]), &["--minutes -1", "is no time"]);
     assert!(!folder.join("runs/empty/metrics.jsonl").exists());
 
+    // A film, and photographs without cameras: the command that finds cameras.
+    fs::write(folder.join("walk.mp4"), "a film").unwrap();
+    refused(&run(folder, &["walk.mp4"]), &["walk.mp4: is a file", "trimip-cli capture walk.mp4"]);
+    fs::create_dir(folder.join("walk")).unwrap();
+    for name in ["0.png", "1.png", "2.png"] {
+        image::RgbImage::from_pixel(8, 8, image::Rgb([90, 80, 70]))
+            .save(folder.join("walk").join(name))
+            .unwrap();
+    }
+    refused(&run(folder, &["walk"]), &["walk: holds no scene", "its 3 pictures", "trimip-cli capture walk"]);
+
     scene(folder);
     // A folder within a folder is detected. A file of the scene is accepted like its folder.
     fs::create_dir(folder.join("outer")).unwrap();

@@ -67,6 +67,8 @@ pub struct Decisions {
     pub camera: &'static str,
     /// How many cameras.
     pub cameras: Cameras,
+    /// Whether the mapper finds the distortion of the lens; otherwise there is none.
+    pub distortion: bool,
     /// Longest side for features, pixels.
     pub size: u32,
     /// Whether features and matches are found on a GPU.
@@ -79,6 +81,14 @@ pub struct Decisions {
     pub threads: u32,
     /// Each decision with its reason.
     pub lines: Vec<String>,
+}
+
+impl Decisions {
+    /// The same without distortion, for a mapper that places one camera after the other; `None` if the lens has none anyway.
+    pub fn without_distortion(&self) -> Option<Self> {
+        let has_terms = !self.camera.ends_with("PINHOLE");
+        (has_terms && !self.global).then(|| Self { distortion: false, ..self.clone() })
+    }
 }
 
 /// Refuses options that do not fit each other or the programs. Returns the path of the vocabulary tree.
@@ -166,6 +176,7 @@ pub fn decide(request: &Request, pictures: &Pictures, able: &Ability) -> Result<
     Ok(Decisions {
         camera: lens.name(),
         cameras,
+        distortion: true,
         size,
         gpu: able.gpu,
         pairs,

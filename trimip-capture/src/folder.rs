@@ -31,6 +31,9 @@ pub enum Stage {
     Page,
 }
 
+/// Models of a second try, until the better ones are known.
+pub const AGAIN: &str = "again";
+
 /// All stages.
 const STAGES: [Stage; 5] = [Stage::Pictures, Stage::Features, Stage::Matches, Stage::Model, Stage::Page];
 
@@ -52,7 +55,7 @@ impl Stage {
             Self::Pictures => &["images"],
             Self::Features => &["features.db", "features.db-wal", "features.db-shm"],
             Self::Matches => &["database.db", "database.db-wal", "database.db-shm"],
-            Self::Model => &["sparse", "models"],
+            Self::Model => &["sparse", "models", AGAIN],
             Self::Page => &["inspect.html"],
         }
     }
@@ -187,6 +190,24 @@ impl Folder {
         fs::rename(&from, &to).map_err(|error| unwritable(&to, &error))?;
         sync_folder_of(&to);
         Ok(())
+    }
+
+    /// Puts what was written for one output in the place of another.
+    ///
+    /// # Errors
+    /// When something cannot be removed or renamed.
+    pub fn replace(&self, output: &str, by: &str) -> Result<()> {
+        let (from, to) = (self.temporary(by), self.temporary(output));
+        remove(&to)?;
+        fs::rename(&from, &to).map_err(|error| unwritable(&to, &error))
+    }
+
+    /// Removes what was written for an output.
+    ///
+    /// # Errors
+    /// When it cannot be removed.
+    pub fn discard(&self, output: &str) -> Result<()> {
+        remove(&self.temporary(output))
     }
 
     /// Gives a database its name, with what its program may have left beside it.

@@ -27,7 +27,7 @@ pub use request::{Lens, Mapper, Matcher, PosesProgram, Request};
 
 use decisions::Decisions;
 use events::Teller;
-use folder::{Done, Folder, Stage, digest, temporary, unwritable};
+use folder::{AGAIN, Done, Folder, Stage, digest, temporary, unwritable};
 use models::Models;
 use pictures::Pictures;
 use poses::{Poses, Watching};
@@ -333,11 +333,20 @@ impl Capture<'_> {
     }
 
     fn place(&self, poses: &Poses, pictures: &Pictures, decisions: &Decisions) -> Result<Models> {
-        let part = temporary("models");
-        let mut progress = |done, total| self.teller.progress("cameras", done, total);
-        let mut watching = Watching { stop: self.stop, progress: &mut progress };
-        poses.model(&self.folder, &part, pictures, decisions, &mut watching)?;
-        let models = models::read(&self.folder.path(&part))?;
+        let mut models = self.models(poses, pictures, decisions, "models")?;
+        if let Some(lost) = models.lost()
+            && let Some(decisions) = decisions.without_distortion()
+        {
+            self.teller
+                .note(&format!("cameras: {lost}; they are placed once more, for a lens without distortion"));
+            let others = self.models(poses, pictures, &decisions, AGAIN)?;
+            if others.sound() > models.sound() {
+                self.folder.replace("models", AGAIN)?;
+                models = others;
+            } else {
+                self.folder.discard(AGAIN)?;
+            }
+        }
         let Some(best) = models.models.first() else { return Err(poses.placed_nothing(&self.folder)) };
         self.folder.keep("models")?;
         let sparse = self.folder.temporary("sparse");
@@ -346,13 +355,28 @@ impl Capture<'_> {
         Ok(models)
     }
 
+    /// The models that the mapper writes for an output.
+    fn models(
+        &self,
+        poses: &Poses,
+        pictures: &Pictures,
+        decisions: &Decisions,
+        output: &str,
+    ) -> Result<Models> {
+        let part = &temporary(output);
+        let mut progress = |done, total| self.teller.progress("cameras", done, total);
+        let mut watching = Watching { stop: self.stop, progress: &mut progress };
+        poses.model(&self.folder, part, pictures, decisions, &mut watching)?;
+        models::read(&self.folder.path(part))
+    }
+
     /// What was placed and what was not, with reasons.
     fn tell(&self, pictures: &Pictures, placement: &Placement) -> Vec<Unplaced> {
         let models = &placement.models;
         let Some(best) = models.models.first() else { return Vec::new() };
         let all = pictures.pictures.len();
         let error = best.error.map_or(String::new(), |error| format!(", mean error {error:.2} pixels"));
-        let placed = best.pictures.len();
+        let placed = best.sound();
         self.teller.note(&format!(
             "cameras: {placed} of {} placed by {}, {}{error}",
             count(all as u64, "picture"),

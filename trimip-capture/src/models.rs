@@ -9,6 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use trimip::Result;
+use trimip_core::scene::strays::{LOST, lost};
 use trimip_data::colmap::Model;
 
 /// A model.
@@ -18,10 +19,20 @@ pub struct Placed {
     pub folder: String,
     /// Pictures whose cameras it has.
     pub pictures: BTreeSet<String>,
+    /// Those of them whose cameras are [lost](trimip_core::scene::strays::lost): the model is wrong.
+    #[serde(default)]
+    pub lost: BTreeSet<String>,
     /// Number of its points.
     pub points: usize,
     /// Mean distance of points from their features, pixels, over points.
     pub error: Option<f64>,
+}
+
+impl Placed {
+    /// Number of its pictures whose cameras are not lost.
+    pub fn sound(&self) -> usize {
+        self.pictures.len() - self.lost.len()
+    }
 }
 
 /// What the mapper came to: all models, that with most pictures first.
@@ -29,6 +40,23 @@ pub struct Placed {
 pub struct Models {
     /// The models.
     pub models: Vec<Placed>,
+}
+
+impl Models {
+    /// Number of pictures whose cameras the best model has, and are not lost.
+    pub fn sound(&self) -> usize {
+        self.models.first().map_or(0, Placed::sound)
+    }
+
+    /// What is wrong with the best model, if any of its cameras is lost.
+    pub fn lost(&self) -> Option<String> {
+        let best = self.models.first().filter(|best| !best.lost.is_empty())?;
+        Some(format!(
+            "{} of {} stand more than {LOST} times as far from the middle as half of them",
+            best.lost.len(),
+            best.pictures.len()
+        ))
+    }
 }
 
 /// Reads the models in the folders of `root`, that with most pictures first.
@@ -46,7 +74,7 @@ pub fn read(root: &Path) -> Result<Models> {
     }
     let mut models = folders.iter().map(|folder| placed(root, folder)).collect::<Result<Vec<_>>>()?;
     models.retain(|model| !model.pictures.is_empty());
-    models.sort_by(|a, b| b.pictures.len().cmp(&a.pictures.len()).then(b.points.cmp(&a.points)));
+    models.sort_by(|a, b| b.sound().cmp(&a.sound()).then(b.points.cmp(&a.points)));
     Ok(Models { models })
 }
 
@@ -59,8 +87,14 @@ fn placed(root: &Path, folder: &Path) -> Result<Placed> {
     let errors: Vec<f64> =
         model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
     let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
+    // Cameras that cannot be read are all wrong.
+    let lost = match model.cameras_of_images(&name) {
+        Ok(cameras) => lost(&cameras),
+        Err(_) => (0..model.images.len()).collect(),
+    };
     Ok(Placed {
         folder: name,
+        lost: lost.into_iter().map(|index| model.images[index].name.clone()).collect(),
         points: model.points.len(),
         error: (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64),
         pictures: model.images.into_iter().map(|image| image.name).collect(),

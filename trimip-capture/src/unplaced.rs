@@ -8,6 +8,7 @@ use super::{
 use serde::{Deserialize, Serialize};
 use std::{cell::OnceCell, path::Path};
 use trimip::formatting::count;
+use trimip_core::scene::strays::LOST;
 
 /// Share of the sharpness of its neighbours below which a picture is blurred.
 const BLURRED: f64 = 0.4;
@@ -34,22 +35,25 @@ pub struct Unplaced {
     pub reason: String,
 }
 
-/// The pictures that the first of the models does not have, with reasons.
+/// The pictures whose cameras the first of the models does not have, or has lost, with reasons.
 pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path) -> Vec<Unplaced> {
     let all = &pictures.pictures;
     let Some((best, others)) = models.models.split_first() else { return Vec::new() };
-    let left: Vec<usize> =
-        (0..all.len()).filter(|&index| !best.pictures.contains(&all[index].name)).collect();
+    let placed =
+        |picture: &Picture| best.pictures.contains(&picture.name) && !best.lost.contains(&picture.name);
+    let left: Vec<usize> = (0..all.len()).filter(|&index| !placed(&all[index])).collect();
     if left.is_empty() {
         return Vec::new();
     }
     let counts = database::counts(database).unwrap_or_default();
-    let placed = |picture: &Picture| best.pictures.contains(&picture.name);
     let sharpness = Sharpness { all, images, placed: &placed, of_placed: OnceCell::new() };
     let unplaced = |index: usize| {
         let picture = &all[index];
         let other = others.iter().find(|other| other.pictures.contains(&picture.name));
         let reason = match other {
+            _ if best.lost.contains(&picture.name) => {
+                format!("its camera stands more than {LOST} times as far from the middle as half of all")
+            }
             Some(other) => format!(
                 "in another model of {}, which shares too little with the best one (models/{})",
                 count(other.pictures.len() as u64, "picture"),
@@ -171,22 +175,25 @@ mod tests {
             sharpness: Some(if index == 5 { 3.0 } else { 100.0 }),
         };
         let pictures = Pictures { pictures: (0..10).map(picture).collect(), ..Pictures::default() };
-        let model = |folder: &str, of: &[usize]| Placed {
+        let named = |of: &[usize]| of.iter().map(|index| format!("{index}.jpg")).collect();
+        let model = |folder: &str, of: &[usize], lost: &[usize]| Placed {
             folder: folder.into(),
-            pictures: of.iter().map(|index| format!("{index}.jpg")).collect(),
+            pictures: named(of),
+            lost: named(lost),
             points: 5,
             error: None,
         };
-        let models = Models { models: vec![model("1", &[0, 1, 2, 3, 4, 6]), model("0", &[7, 8])] };
+        let models = Models { models: vec![model("1", &[0, 1, 2, 3, 4, 6], &[3]), model("0", &[7, 8], &[])] };
         let nowhere = Path::new("nowhere");
         let found = find(&pictures, &models, nowhere, nowhere);
         let told: Vec<_> = found.iter().map(|one| (one.source.as_str(), one.reason.as_str())).collect();
-        assert_eq!(told.len(), 4);
-        assert!(told[0].0 == "frame 5" && told[0].1.starts_with("too blurred: 3 %"), "{told:?}");
+        assert_eq!(told.len(), 5);
+        assert!(told[0].0 == "frame 3" && told[0].1.contains("1000 times as far"), "{told:?}");
+        assert!(told[1].0 == "frame 5" && told[1].1.starts_with("too blurred: 3 %"), "{told:?}");
         assert!(
-            told[1].1.contains("in another model of 2 pictures") && told[1].1.contains("models/0"),
+            told[2].1.contains("in another model of 2 pictures") && told[2].1.contains("models/0"),
             "{told:?}"
         );
-        assert!(told[3].1.starts_with("too few matches"));
+        assert!(told[4].1.starts_with("too few matches"));
     }
 }

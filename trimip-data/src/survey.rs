@@ -12,7 +12,14 @@ use crate::{
     warnings,
 };
 use std::path::Path;
-use trimip_core::{Alpha, Camera, Error, Result, scene::origin::LocalOrigin, scene_plan::StatedBox};
+use trimip_core::{
+    Alpha, Camera, Error, Result,
+    scene::{
+        origin::LocalOrigin,
+        strays::{LOST, lost},
+    },
+    scene_plan::StatedBox,
+};
 
 /// A scene before any image is decoded.
 pub(crate) struct Survey {
@@ -56,6 +63,7 @@ impl Survey {
         let mut facts = Facts { warnings: layout.unread(config).into_iter().collect(), ..Facts::default() };
         let (train_splits, mut train, mut test) = divided(&layout, config, &mut facts)?;
         let Facts { mut warnings, mut notes, stated, cloud } = facts;
+        warnings.extend(leave_out_lost(&mut train, &mut test));
         if !config.lens {
             train.iter_mut().chain(&mut test).for_each(Source::straighten);
         }
@@ -122,6 +130,26 @@ impl Survey {
 /// Cameras of frames at their finest scale.
 fn cameras(frames: &[Source]) -> Vec<Camera> {
     frames.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect()
+}
+
+/// Leaves out the frames whose cameras are lost, with a warning: what their photographs show is learned nowhere, and measured nowhere.
+fn leave_out_lost(train: &mut Vec<Source>, test: &mut Vec<Source>) -> Option<String> {
+    let lost = lost(&[cameras(train), cameras(test)].concat());
+    let trained = train.len();
+    let named = lost.first().map(|&index| match index.checked_sub(trained) {
+        None => train[index].name.clone(),
+        Some(index) => test[index].name.clone(),
+    })?;
+    let all = trained + test.len();
+    let mut indices = 0..all;
+    let mut is_kept = |_: &Source| indices.next().is_some_and(|index| lost.binary_search(&index).is_err());
+    train.retain(&mut is_kept);
+    test.retain(is_kept);
+    Some(format!(
+        "{} of {all} photographs, the first {named}, have cameras more than {LOST} times as far from the middle of all as half of them: \
+         their poses are wrong, and they are left out",
+        lost.len()
+    ))
 }
 
 /// What the splits of a scene state about it beside their frames. The first split that states a box or points wins.

@@ -18,6 +18,7 @@ while [ $# -gt 1 ]; do
     --database_path) database=$2;;
     --image_path) images=$2;;
     --output_path) out=$2;;
+    --Mapper.ba_refine_extra_params) undistorted=1;;
   esac
   shift 2
 done
@@ -51,5 +52,6 @@ case "$command" in
     grep -q match "$database" || exit 3
     echo "Registering image #1 (3)"
     [ -d "$here/models" ] || { echo "failed to create sparse model"; exit 1; }
+    if [ -n "$undistorted" ] && [ -d "$here/undistorted" ]; then here=$here/undistorted; fi
     cp -R "$here/models/." "$out";;
 esac

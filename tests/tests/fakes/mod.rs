@@ -87,6 +87,7 @@ impl Place {
             "image_path".into(),
             "output_path".into(),
             "Mapper.num_threads".into(),
+            "Mapper.ba_refine_extra_params".into(),
         ];
         let extractor = [
             "database_path".to_string(),
@@ -162,6 +163,18 @@ impl Place {
 
     /// The model of these photographs, which are called by `name`, as the mapper's number `number`.
     pub fn model(&self, number: u32, views: &[usize], name: impl Fn(usize) -> String) {
+        self.model_in(&format!("fake/models/{number}"), views, &[], name);
+    }
+
+    /// Models of all photographs by their own names, with some cameras far away: of the mapper, and of the mapper that finds no distortion.
+    pub fn lost_models(&self, lost: &[usize], undistorted: &[usize]) {
+        let whole: Vec<usize> = (0..VIEWS).collect();
+        for (folder, lost) in [("fake/models/0", lost), ("fake/undistorted/models/0", undistorted)] {
+            self.model_in(folder, &whole, lost, |view| format!("{view:02}.jpg"));
+        }
+    }
+
+    fn model_in(&self, folder: &str, views: &[usize], lost: &[usize], name: impl Fn(usize) -> String) {
         let mut sparse = Sparse::default();
         let half = 0.5 * f64::from(SIDE);
         let side = u64::from(SIDE);
@@ -177,7 +190,8 @@ impl Place {
             let row = |row: usize| DVec3::new(rows[row][0], -rows[row][1], -rows[row][2]);
             // To the world from a camera that looks along +z.
             let to_world = DMat3::from_cols(row(0), row(1), row(2)).transpose();
-            let origin = DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
+            let far = if lost.contains(&view) { 1e9 } else { 1.0 };
+            let origin = far * DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
             let from_world = to_world.transpose();
             let shift = -(from_world * origin);
             let q = DQuat::from_mat3(&from_world);
@@ -192,7 +206,7 @@ impl Place {
         for (index, (point, track)) in points.iter().zip(tracks).enumerate() {
             sparse.points.push((index as u64, point.to_array(), [90, 80, 70], 0.5, track));
         }
-        sparse.write_binary(&self.path(&format!("fake/models/{number}")));
+        sparse.write_binary(&self.path(folder));
     }
 
     /// The model of all photographs by their own names.

@@ -123,12 +123,15 @@ impl Colmap {
 
     /// Places cameras.
     pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Call<'a> {
-        let options = vec![
+        let mut options = vec![
             choice(&["database_path"], "database.db"),
             choice(&["image_path"], "images"),
             choice(&["output_path"], models),
             choice(&["Mapper.num_threads", "GlobalMapper.num_threads"], threads(by)),
         ];
+        if !by.distortion {
+            options.push(choice(&["Mapper.ba_refine_extra_params"], "0"));
+        }
         let command = if by.global { "global_mapper" } else { "mapper" };
         self.call(folder, "model", command, &options)
     }

@@ -95,7 +95,8 @@ def said(models):
 
 
 def incremental(o):
-    options = made(["IncrementalPipelineOptions", "IncrementalMapperOptions"], num_threads=o["threads"])
+    values = dict(num_threads=o["threads"], ba_refine_extra_params=o["distortion"])
+    options = made(["IncrementalPipelineOptions", "IncrementalMapperOptions"], **values)
     said(call(pycolmap.incremental_mapping, o["database"], o["images"], o["models"], options=options))
 
 

@@ -125,6 +125,7 @@ impl Python {
         let mut options = common("database.db", by);
         options["images"] = "images".into();
         options["models"] = models.into();
+        options["distortion"] = by.distortion.into();
         self.call(folder, "model", if by.global { "global" } else { "incremental" }, options)
     }
 }

@@ -1,4 +1,4 @@
-//! Stray cameras: those that stand far from all others.
+//! Stray cameras: those that stand far from all others, and lost ones, whose poses are failures of a solver.
 
 use crate::Camera;
 use glam::DVec3;
@@ -7,11 +7,26 @@ use glam::DVec3;
 /// belongs to another place.
 pub const STRAY: f64 = 30.0;
 
-/// Largest share of stray cameras: of more, the middle means nothing.
+/// A camera that is this many times as far is lost: no capture spans as much, so its pose is a failure of the solver.
+pub const LOST: f64 = 1000.0;
+
+/// Largest shares of stray and of lost cameras: of more, the middle means nothing.
 const MOST_STRAYS: f64 = 0.1;
+const MOST_LOST: f64 = 0.25;
 
 /// Cameras that stand far from all others, in their order: how many times as far from the middle of all as half of them.
 pub fn strays(cameras: &[Camera]) -> Vec<(usize, f64)> {
+    farther(cameras, STRAY, MOST_STRAYS)
+}
+
+/// Lost cameras, in their order.
+pub fn lost(cameras: &[Camera]) -> Vec<usize> {
+    farther(cameras, LOST, MOST_LOST).into_iter().map(|(index, _)| index).collect()
+}
+
+/// Cameras that are more than `least` times as far from the middle of all as half of them, with these times; none if they are more than
+/// the share `most` of all.
+fn farther(cameras: &[Camera], least: f64, most: f64) -> Vec<(usize, f64)> {
     let median = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(0.0)
@@ -21,9 +36,9 @@ pub fn strays(cameras: &[Camera]) -> Vec<(usize, f64)> {
     }));
     let distances: Vec<f64> = cameras.iter().map(|camera| camera.origin.distance(middle)).collect();
     let usual = median(distances.clone());
-    let far = distances.iter().map(|distance| distance / usual).enumerate();
-    let strays: Vec<(usize, f64)> = far.filter(|(_, times)| *times > STRAY && times.is_finite()).collect();
-    if strays.len() as f64 > MOST_STRAYS * cameras.len() as f64 { Vec::new() } else { strays }
+    let times = distances.iter().map(|distance| distance / usual).enumerate();
+    let far: Vec<(usize, f64)> = times.filter(|(_, times)| *times > least && times.is_finite()).collect();
+    if far.len() as f64 > most * cameras.len() as f64 { Vec::new() } else { far }
 }
 
 /// The cameras that are no strays, in their order.
@@ -58,6 +73,14 @@ mod tests {
         let found = strays(&cameras);
         assert_eq!(without_strays(&cameras), [&cameras[..7], &cameras[8..]].concat());
         assert!(found.len() == 1 && found[0].0 == 7 && (found[0].1 / 2500.0 - 1.0).abs() < 0.1, "{found:?}");
+        assert_eq!(lost(&cameras), [7]);
+        cameras[7].origin = DVec3::new(0.0, 500.0, 0.0);
+        assert!(strays(&cameras).len() == 1 && lost(&cameras).is_empty());
+        // So many lost ones are no strays of the others.
+        cameras[..10].iter_mut().for_each(|camera| camera.origin *= 1e12);
+        assert!(strays(&cameras).is_empty() && lost(&cameras) == Vec::from_iter(0..10));
+        cameras[10].origin *= 1e12;
+        assert!(lost(&cameras).is_empty());
         // Half of the cameras in one place, or many far ones: there is no middle to be far from.
         let burst = [vec![cameras[0]; 30], ring(centre, 2.0, 10)].concat();
         assert_eq!(strays(&burst), []);
