@@ -35,7 +35,7 @@ fn photographs_become_a_scene_by_colmap_3_8() {
     assert_eq!(
         place.calls(),
         [
-            "colmap feature_extractor --database_path features.part.db --image_path images --ImageReader.camera_model OPENCV \
+            "colmap feature_extractor --database_path features.part.db --image_path images --ImageReader.camera_model RADIAL \
              --ImageReader.single_camera 1 --ImageReader.single_camera_per_folder 0 --SiftExtraction.max_image_size 1600 \
              --SiftExtraction.use_gpu 0 --SiftExtraction.num_threads -1",
             "colmap exhaustive_matcher --database_path database.part.db --SiftMatching.use_gpu 0 --SiftMatching.num_threads -1",
@@ -43,7 +43,7 @@ fn photographs_become_a_scene_by_colmap_3_8() {
         ]
     );
     for part in [
-        "OPENCV (ordinary lenses",
+        "RADIAL (ordinary lenses",
         "one for all pictures",
         "on the CPU: this COLMAP is built without CUDA",
         "each picture with each, 66 pairs",
@@ -85,10 +85,10 @@ fn options_have_the_names_of_the_version() {
     let place = Place::new();
     place.colmap("4");
     place.whole_model();
-    place.captures(&["walk", "--mapper", "global", "--threads", "2", "--size", "640", "--camera", "radial"]);
+    place.captures(&["walk", "--mapper", "global", "--threads", "2", "--size", "640", "--camera", "opencv"]);
     let calls = place.calls();
     for part in [
-        "RADIAL",
+        "OPENCV",
         "FeatureExtraction.max_image_size 640",
         "FeatureExtraction.use_gpu 0",
         "FeatureExtraction.num_threads 2",
@@ -120,9 +120,18 @@ fn programs_are_chosen_in_order_or_as_asked_for() {
     );
     assert!(calls[2].contains("\"models\":\"models.part\"") && place.has("a/log/poses.py"), "{calls:?}");
 
+    // A colmap before version 4 comes after it, and before an older pycolmap.
     place.colmap("3.8");
-    assert!(place.captures(&["walk", "--out", "b"]).contains("placed by colmap 3.8"));
+    assert!(place.captures(&["walk", "--out", "n"]).contains("placed by pycolmap 4.2.1"));
+    place.sign("pycolmap", "pycolmap 3.10.0 False False\n");
+    place.calls();
+    let told = place.captures(&["walk", "--out", "b"]);
+    assert!(told.contains("placed by colmap 3.8") && told.contains("pip install pycolmap"), "{told}");
     assert_eq!(place.commands(), ["feature_extractor", "exhaustive_matcher", "mapper"]);
+    place.colmap("4");
+    place.sign("pycolmap", "pycolmap 4.2.1 False True\n");
+    assert!(place.captures(&["walk", "--out", "o"]).contains("placed by colmap 4"));
+    place.calls();
     assert!(
         place.captures(&["walk", "--out", "c", "--poses", "pycolmap"]).contains("placed by pycolmap 4.2.1")
     );
@@ -133,6 +142,8 @@ fn programs_are_chosen_in_order_or_as_asked_for() {
             && place.calls().is_empty()
     );
 
+    place.colmap("3.8");
+    place.sign("pycolmap", "pycolmap 3.10.0 False False\n");
     place.program("glomap", include_str!("fakes/glomap.sh"));
     assert!(place.captures(&["walk", "--out", "d", "--poses", "glomap"]).contains("placed by glomap"));
     let calls = place.calls();
@@ -224,7 +235,7 @@ fn what_is_changed_is_done_again_from_there() {
         (&["--matcher", "sequential"][..], &["sequential_matcher", "mapper"][..]),
         (&[], &["exhaustive_matcher", "mapper"]),
         (&["--threads", "3"], &[]),
-        (&["--camera", "opencv"], &[]),
+        (&["--camera", "radial"], &[]),
         (&["--size", "500"], &["feature_extractor", "exhaustive_matcher", "mapper"]),
         (&["--size", "500", "--fresh"], &["feature_extractor", "exhaustive_matcher", "mapper"]),
     ] {
@@ -404,7 +415,7 @@ fn a_model_with_lost_cameras_is_tried_again_without_distortion() {
     assert!(left.iter().all(|path| !path.to_string_lossy().contains("again")), "{left:?}");
     // The photograph is left out of whatever reads the scene.
     let inspected = place.run(&["data", "inspect", "captures/walk"]);
-    assert!(inspected.out.contains("1 of 12 photographs, the first 07.jpg"), "{inspected:?}");
+    assert!(inspected.out.contains("1 of 12 photographs, the first 07,"), "{inspected:?}");
 
     // The first model stays if the second one is no better, and a lens without distortion has no second one.
     place.lost_models(&[7], &[3, 7]);

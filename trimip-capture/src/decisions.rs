@@ -143,7 +143,11 @@ pub fn decide(request: &Request, pictures: &Pictures, able: &Ability) -> Result<
     let (lens, because) = match request.camera {
         Some(lens) => (lens, "as asked for"),
         None if cameras == Cameras::PerImage => (Lens::SimpleRadial, "one picture cannot tell more"),
-        None => (Lens::Opencv, "ordinary lenses; --camera opencv-fisheye for those that see 120° and more"),
+        None => (
+            Lens::Radial,
+            "ordinary lenses; --camera opencv adds terms that few pictures do not tell apart from the focal length, \
+             opencv-fisheye is for lenses that see 120° and more",
+        ),
     };
     lines.push(format!("cameras: {} ({because}), {why}", lens.name()));
 
@@ -279,7 +283,7 @@ mod tests {
         let film = decided(&pictures(&[(1920, 120)], true), &able(false, false)).unwrap();
         assert_eq!(
             (film.camera, film.cameras, film.size, film.global),
-            ("OPENCV", Cameras::One, 1600, false)
+            ("RADIAL", Cameras::One, 1600, false)
         );
         assert_eq!(film.pairs, Pairs::Sequential { overlap: 10, every: 3, tree: None });
         let few = decided(&pictures(&[(1920, 50)], false), &able(true, true)).unwrap();

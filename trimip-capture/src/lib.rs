@@ -253,7 +253,8 @@ impl Capture<'_> {
         }
         let poses = Poses::find(self.request.poses, self.began_with(), &self.request.input)?;
         let decisions = decisions::decide(self.request, pictures, &poses.ability())?;
-        self.teller.note(&format!("poses: by {}", poses.name()));
+        let hint = poses.hint().map_or(String::new(), |hint| format!("; {hint}"));
+        self.teller.note(&format!("poses: by {}{hint}", poses.name()));
         decisions.lines.iter().for_each(|line| self.teller.note(line));
 
         let inputs = json!({

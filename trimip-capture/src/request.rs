@@ -21,13 +21,13 @@ pub enum PosesProgram {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Lens {
-    /// Four terms of distortion: ordinary lenses
+    /// Two focal lengths and four terms of distortion: for many pictures
     Opencv,
     /// Lenses that see 120° and more
     OpencvFisheye,
     /// Eight terms of distortion
     FullOpencv,
-    /// One focal length and two terms
+    /// One focal length and two terms: ordinary lenses
     Radial,
     /// One focal length and one term
     SimpleRadial,

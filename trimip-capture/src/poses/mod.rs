@@ -49,7 +49,8 @@ pub struct Watching<'a> {
 }
 
 impl Poses {
-    /// The first of colmap and pycolmap that is there, that which began first; `wanted` alone if it is given. `place` is what needs it.
+    /// The program that `wanted` names; otherwise that which `began`, then colmap, then pycolmap. A colmap before version 4 comes after a
+    /// pycolmap from version 4 on, which takes a fraction of its time on a CPU. `place` is what needs it.
     ///
     /// # Errors
     /// Of kind `Input`, with the line that installs what is missing.
@@ -70,7 +71,18 @@ impl Poses {
             _ if began == Some(PosesProgram::Pycolmap) => {
                 python().or_else(colmap).ok_or_else(|| Need::Poses.missing(place.display()))
             }
-            _ => colmap().or_else(python).ok_or_else(|| Need::Poses.missing(place.display())),
+            _ => {
+                let old = Colmap::find();
+                let new = match &old {
+                    Some(colmap) if is_old(&colmap.version) && began.is_none() => {
+                        Python::find().filter(|python| !is_old(&python.version))
+                    }
+                    Some(_) => None,
+                    None => Python::find(),
+                };
+                let engine = new.map(Engine::Python).or(old.map(Engine::Colmap));
+                engine.ok_or_else(|| Need::Poses.missing(place.display()))
+            }
         };
         let glomap = glomap.filter(|_| wanted.is_none() || only_glomap);
         Ok(Self { engine: engine?, glomap, only_glomap })
@@ -82,6 +94,14 @@ impl Poses {
             Engine::Colmap(colmap) => &colmap.version,
             Engine::Python(python) => &python.version,
         }
+    }
+
+    /// A hint at a faster program.
+    pub fn hint(&self) -> Option<&'static str> {
+        let is_slow =
+            matches!(&self.engine, Engine::Colmap(colmap) if is_old(&colmap.version) && !colmap.has_cuda);
+        is_slow
+            .then_some("pip install pycolmap brings version 4, which takes a fraction of the time on a CPU")
     }
 
     /// What they can do.
@@ -223,6 +243,12 @@ impl Poses {
             ),
         )
     }
+}
+
+/// True for `colmap 3.8` and the like: versions before 4 match features much more slowly.
+fn is_old(version: &str) -> bool {
+    let number = version.split_whitespace().nth(1).and_then(|number| number.split('.').next());
+    number.and_then(|major| major.parse::<u32>().ok()).is_some_and(|major| major < 4)
 }
 
 fn run(call: &Call<'_>, mut counter: Counter, watching: &mut Watching<'_>) -> Result<()> {
