@@ -19,7 +19,7 @@ pub struct Placed {
     pub folder: String,
     /// Pictures whose cameras it has.
     pub pictures: BTreeSet<String>,
-    /// Those of them whose cameras are [lost](trimip_core::scene::strays::lost): the model is wrong.
+    /// Pictures of this model with a [lost](trimip_core::scene::strays::lost) camera.
     #[serde(default)]
     pub lost: BTreeSet<String>,
     /// Number of its points.
@@ -43,12 +43,12 @@ pub struct Models {
 }
 
 impl Models {
-    /// Number of pictures whose cameras the best model has, and are not lost.
+    /// Number of pictures of the best model whose cameras are not lost.
     pub fn sound(&self) -> usize {
         self.models.first().map_or(0, Placed::sound)
     }
 
-    /// What is wrong with the best model, if any of its cameras is lost.
+    /// A count of the best model's lost cameras in words; `None` if it has none.
     pub fn lost(&self) -> Option<String> {
         let best = self.models.first().filter(|best| !best.lost.is_empty())?;
         Some(format!(
@@ -87,11 +87,8 @@ fn placed(root: &Path, folder: &Path) -> Result<Placed> {
     let errors: Vec<f64> =
         model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
     let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
-    // Cameras that cannot be read are all wrong.
-    let lost = match model.cameras_of_images(&name) {
-        Ok(cameras) => lost(&cameras),
-        Err(_) => (0..model.images.len()).collect(),
-    };
+    // The reader of the scene names a camera that it cannot read.
+    let lost = model.cameras_of_images(&name).map_or_else(|_| Vec::new(), |cameras| lost(&cameras));
     Ok(Placed {
         folder: name,
         lost: lost.into_iter().map(|index| model.images[index].name.clone()).collect(),

@@ -73,7 +73,7 @@ pub enum Mapper {
     Global,
 }
 
-/// What is captured, and how. The program decides what is `None`.
+/// A capture to make: its input and its options. The program chooses the value of an option that is `None`.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// A film, a folder of photographs, or a zip archive of either.

@@ -132,7 +132,7 @@ fn cameras(frames: &[Source]) -> Vec<Camera> {
     frames.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect()
 }
 
-/// Leaves out the frames whose cameras are lost, with a warning: what their photographs show is learned nowhere, and measured nowhere.
+/// Leaves out the frames with lost cameras, which are neither trained nor measured, and returns a warning.
 fn leave_out_lost(train: &mut Vec<Source>, test: &mut Vec<Source>) -> Option<String> {
     let lost = lost(&[cameras(train), cameras(test)].concat());
     let trained = train.len();

@@ -49,8 +49,9 @@ pub struct Watching<'a> {
 }
 
 impl Poses {
-    /// The program that `wanted` names; otherwise that which `began`, then colmap, then pycolmap. A colmap before version 4 comes after a
-    /// pycolmap from version 4 on, which takes a fraction of its time on a CPU. `place` is what needs it.
+    /// Finds the program `wanted`. Without one, it is the program that found the features of this capture (`began`), then colmap, then
+    /// pycolmap. A pycolmap from version 4 on precedes a colmap before version 4, which takes several times as long on a CPU. Errors
+    /// name `place`, the input.
     ///
     /// # Errors
     /// Of kind `Input`, with the line that installs what is missing.

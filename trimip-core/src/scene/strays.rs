@@ -7,7 +7,7 @@ use glam::DVec3;
 /// belongs to another place.
 pub const STRAY: f64 = 30.0;
 
-/// A camera that is this many times as far is lost: no capture spans as much, so its pose is a failure of the solver.
+/// A camera that is this many times as far is lost. No capture spans such distances, so the solver failed to find its pose.
 pub const LOST: f64 = 1000.0;
 
 /// Largest shares of stray and of lost cameras: of more, the middle means nothing.
