@@ -54,6 +54,7 @@ mod points;
 mod pose;
 pub mod pyramid;
 mod readers;
+mod realign;
 mod scene;
 mod section;
 mod sector;

@@ -35,6 +35,7 @@ pub struct DataConfig {
     pub mask_keeps: MaskKeeps,
     pub mask_role: MaskRole,
     pub depths: bool,
+    pub realign: bool,
     pub scales: u32,
     pub convention: Convention,
     pub edge_exponents: Vec<f32>,

@@ -14,6 +14,7 @@ use crate::{
     photograph::Photograph,
     pictures::{self, Pictures},
     points::{Cloud, Observation, Point},
+    realign::{self, Gray, Realigned},
     source::{Pixels, Source, map_in_order},
     split::Split,
 };
@@ -79,7 +80,10 @@ impl Capture {
         });
         let mut frames: Vec<Frame> = frames.collect();
         let factors = scale_cameras(&mut frames)?;
-        let cloud = cloud(&model, names, &factors);
+        let mut cloud = cloud(&model, names, &factors);
+        if config.realign {
+            warnings.extend(realigned(&file, &mut frames, &mut cloud)?);
+        }
         warnings.extend(scaled_along(&file, factors));
         let notes = vec![format!(
             "COLMAP model {}: {}, {}, {}; world units are the model's",
@@ -208,6 +212,24 @@ fn scale_cameras(frames: &mut [Frame]) -> Result<Vec<[f64; 2]>> {
         frame.camera.intrinsics = *intrinsics;
     }
     Ok(fitted.into_iter().map(|(_, factors)| factors).collect())
+}
+
+/// Aligns parts of the model that stand apart, and returns a warning if there are any.
+fn realigned(file: &Path, frames: &mut [Frame], cloud: &mut Cloud) -> Result<Option<String>> {
+    let picture = |index: usize| {
+        let frame: &Frame = &frames[index];
+        Gray::open(&Photograph::open(frame.path.clone(), frame.place.clone())?)
+    };
+    let model = realign::Model {
+        names: frames.iter().map(|frame| frame.name.as_str()).collect(),
+        cameras: frames.iter().map(|frame| frame.camera).collect(),
+        points: cloud.points.clone(),
+        picture: &picture,
+    };
+    let Some(Realigned { cameras, points, warning }) = realign::realign(model)? else { return Ok(None) };
+    frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera = camera);
+    cloud.points = points;
+    Ok(Some(format!("{}: {warning}", file.display())))
 }
 
 /// Points with their tracks by frame, which must be in order of their names.

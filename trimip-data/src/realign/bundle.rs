@@ -1,0 +1,467 @@
+//! Bundle adjustment: the cameras and points whose projections are nearest to where the photographs saw the points (Triggs et al. 2000).
+//! Levenberg and Marquardt's method on the sum of Huber's function of the reprojection errors. Points are eliminated from each step
+//! (the Schur complement), and what is left is a dense system of six unknowns a camera and the focal length of each lens.
+
+use super::cholesky;
+use crate::points::Observation;
+use glam::{DMat3, DQuat, DVec3};
+use rayon::prelude::*;
+use trimip_core::{Camera, Intrinsics};
+
+/// Most steps, and the relative decrease of the cost below which the last one was enough.
+const MOST_STEPS: usize = 40;
+const SETTLED: f64 = 1e-5;
+
+/// Damping of the first step, as a multiple of the diagonal; factors after a step that lowers the cost and after one that does not.
+const DAMPING: f64 = 1e-4;
+const RELAX: f64 = 0.3;
+const TIGHTEN: f64 = 5.0;
+const MOST_DAMPING: f64 = 1e6;
+const LEAST_DAMPING: f64 = 1e-9;
+
+/// Steps of a point whose cameras stay.
+const POINT_STEPS: usize = 8;
+
+/// Parts of the points whose sums are made side by side; their number is fixed, so that sums have the same bits for any number of threads.
+const PARTS: usize = 4;
+
+/// Unknowns of a camera: rotation and translation in its own axes; its focal length is an unknown of its lens.
+const POSE: usize = 6;
+
+/// A point and where it was seen.
+#[derive(Clone, Debug)]
+pub(super) struct Seen {
+    pub(super) position: DVec3,
+    pub(super) track: Vec<Observation>,
+}
+
+/// One observation around the present state.
+struct Linear {
+    /// Index of the camera's first unknown, and that of the lens.
+    unknowns: [usize; 2],
+    /// Derivatives of the projection by the pose, the logarithm of the focal length, and the point.
+    by_pose: [[f64; POSE]; 2],
+    by_focal: [f64; 2],
+    by_point: [[f64; 3]; 2],
+    /// Projection minus observation, pixels.
+    residual: [f64; 2],
+    /// Huber's weight.
+    weight: f64,
+}
+
+/// Cameras that are adjusted.
+pub(super) struct Bundle<'a> {
+    cameras: &'a mut [Camera],
+    /// The lens of each camera.
+    lenses: Vec<usize>,
+    lens_count: usize,
+    /// Error from which Huber's function is linear, pixels.
+    huber: f64,
+}
+
+impl<'a> Bundle<'a> {
+    /// Cameras with the same intrinsics have one lens.
+    pub(super) fn new(cameras: &'a mut [Camera], huber: f64) -> Self {
+        let mut known: Vec<Intrinsics> = Vec::new();
+        let lens = |camera: &Camera| {
+            let own = camera.intrinsics;
+            known.iter().position(|lens| *lens == own).unwrap_or_else(|| {
+                known.push(own);
+                known.len() - 1
+            })
+        };
+        let lenses = cameras.iter().map(lens).collect();
+        Self { cameras, lenses, lens_count: known.len(), huber }
+    }
+
+    /// Adjusts cameras and points. The scene stays about where it is: steps are damped along what no photograph shows, its place,
+    /// direction and size.
+    pub(super) fn adjust(&mut self, points: &mut [Seen]) {
+        let mut damping = DAMPING;
+        let mut cost = cost_of(self.cameras, points, self.huber);
+        for _ in 0..MOST_STEPS {
+            let linear = self.linearised(points);
+            let mut next = None;
+            while damping <= MOST_DAMPING {
+                if let Some((cameras, moved)) = self.step(points, &linear, damping) {
+                    let after = cost_of(&cameras, &moved, self.huber);
+                    if after < cost {
+                        next = Some((cameras, moved, after));
+                        break;
+                    }
+                }
+                damping *= TIGHTEN;
+            }
+            let Some((cameras, moved, after)) = next else { return };
+            self.cameras.copy_from_slice(&cameras);
+            points.iter_mut().zip(moved).for_each(|(point, moved)| *point = moved);
+            damping = (RELAX * damping).max(LEAST_DAMPING);
+            let settled = cost - after < SETTLED * cost;
+            cost = after;
+            if settled {
+                return;
+            }
+        }
+    }
+
+    /// The observations of each point.
+    fn linearised(&self, points: &[Seen]) -> Vec<Vec<Linear>> {
+        let of_point = |point: &Seen| {
+            let linear = |seen: &Observation| {
+                let view = seen.view as usize;
+                let unknowns = [POSE * view, POSE * self.cameras.len() + self.lenses[view]];
+                Linear::of(point.position, seen, &self.cameras[view], unknowns, self.huber)
+            };
+            point.track.iter().filter_map(linear).collect()
+        };
+        points.par_iter().map(of_point).collect()
+    }
+    /// The cameras and points after a step.
+    fn step(&self, points: &[Seen], linear: &[Vec<Linear>], damping: f64) -> Option<(Vec<Camera>, Vec<Seen>)> {
+        let n = POSE * self.cameras.len() + self.lens_count;
+        let size = linear.len().div_ceil(PARTS).max(1);
+        let parts: Vec<Reduced> = linear
+            .par_chunks(size)
+            .map(|chunk| {
+                let mut part = Reduced::new(n);
+                chunk.iter().for_each(|observations| part.add(observations, damping));
+                part
+            })
+            .collect();
+        let mut whole = Reduced::new(n);
+        for part in parts {
+            whole.matrix.par_iter_mut().zip(part.matrix).for_each(|(sum, value)| *sum += value);
+            whole.diagonal.iter_mut().zip(part.diagonal).for_each(|(sum, value)| *sum += value);
+            whole.right.iter_mut().zip(part.right).for_each(|(sum, value)| *sum += value);
+        }
+        for i in 0..n {
+            // A camera that sees nothing, and a lens without a focal length, stay.
+            whole.matrix[i * n + i] += damping * whole.diagonal[i] + 1e-12;
+        }
+        let x = cholesky::solve(&mut whole.matrix, &whole.right)?;
+        let cameras = self.cameras.iter().enumerate().map(|(view, camera)| {
+            let [a, b, c, d, e, f]: [f64; POSE] = std::array::from_fn(|i| x[POSE * view + i]);
+            let turn = DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(a, b, c)));
+            let scale = x[POSE * self.cameras.len() + self.lenses[view]].exp();
+            let k = camera.intrinsics;
+            Camera {
+                rotation: camera.rotation * turn,
+                origin: camera.origin + camera.rotation * DVec3::new(d, e, f),
+                intrinsics: Intrinsics { fx: scale * k.fx, fy: scale * k.fy, ..k },
+            }
+        });
+        let moved = points.par_iter().zip(linear).map(|(point, observations)| {
+            let own = Own::of(observations, damping);
+            let along = own.right - observations.iter().map(|linear| linear.pull(&x)).sum::<DVec3>();
+            Seen { position: point.position + own.inverse * along, track: point.track.clone() }
+        });
+        Some((cameras.collect(), moved.collect()))
+    }
+}
+
+/// The sum of Huber's function of all reprojection errors; a point that a camera does not see costs as much as one far off.
+fn cost_of(cameras: &[Camera], points: &[Seen], huber: f64) -> f64 {
+    let costs: Vec<f64> = points
+        .par_iter()
+        .map(|point| {
+            let cost = |seen: &Observation| {
+                let camera = &cameras[seen.view as usize];
+                let most = f64::from(camera.intrinsics.width.max(camera.intrinsics.height));
+                let error = seen.error(point.position, camera).map_or(most, |error| error.min(most));
+                if error <= huber { 0.5 * error * error } else { huber * (error - 0.5 * huber) }
+            };
+            point.track.iter().map(cost).sum()
+        })
+        .collect();
+    costs.iter().sum()
+}
+
+impl Linear {
+    /// `None` if the camera has no image of the point.
+    fn of(position: DVec3, seen: &Observation, camera: &Camera, unknowns: [usize; 2], huber: f64) -> Option<Self> {
+        let to_camera = camera.rotation.transpose();
+        let local = to_camera * (position - camera.origin);
+        let k = &camera.intrinsics;
+        let at = k.image_of(local)?;
+        let mut by_local = [[0.0; 3]; 2];
+        let h = 1e-5 * local.length();
+        for axis in 0..3 {
+            let step = h * DVec3::AXES[axis];
+            let (ahead, behind) = (k.image_of(local + step)?, k.image_of(local - step)?);
+            (0..2).for_each(|i| by_local[i][axis] = (ahead[i] - behind[i]) / (2.0 * h));
+        }
+        let residual = [at[0] - seen.at[0], at[1] - seen.at[1]];
+        let error = residual[0].hypot(residual[1]);
+        if !(error.is_finite() && by_local.as_flattened().iter().all(|value| value.is_finite())) {
+            return None;
+        }
+        // In the camera's axes a point moves by local × ω − τ.
+        let by_pose = by_local.map(|row| {
+            let row = DVec3::from(row);
+            let turn = row.cross(local);
+            [turn.x, turn.y, turn.z, -row.x, -row.y, -row.z]
+        });
+        let by_point = by_local.map(|row| (camera.rotation * DVec3::from(row)).to_array());
+        let has_focal = k.lens.model.definition().distorted;
+        let by_focal = if has_focal { [at[0] - k.cx, at[1] - k.cy] } else { [0.0; 2] };
+        let weight = if error <= huber { 1.0 } else { huber / error };
+        Some(Linear { unknowns, by_pose, by_focal, by_point, residual, weight })
+    }
+
+    /// The derivatives by the unknowns of pose and lens.
+    fn columns(&self) -> [([f64; 2], usize); POSE + 1] {
+        std::array::from_fn(|i| match i {
+            POSE => (self.by_focal, self.unknowns[1]),
+            _ => ([self.by_pose[0][i], self.by_pose[1][i]], self.unknowns[0] + i),
+        })
+    }
+
+    /// What a step of the unknowns pulls at the point: Jₚᵀ·w·J·x.
+    fn pull(&self, x: &[f64]) -> DVec3 {
+        let mut moved = [0.0; 2];
+        for (column, at) in self.columns() {
+            (0..2).for_each(|i| moved[i] += column[i] * x[at]);
+        }
+        (0..2).map(|i| self.weight * moved[i] * DVec3::from(self.by_point[i])).sum()
+    }
+}
+
+/// The damped system of one point.
+struct Own {
+    /// (Σ w·Jₚᵀ·Jₚ + damping · its diagonal)⁻¹.
+    inverse: DMat3,
+    /// −Σ w·Jₚᵀ·r.
+    right: DVec3,
+}
+
+impl Own {
+    fn of(observations: &[Linear], damping: f64) -> Self {
+        let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
+        for linear in observations {
+            for i in 0..2 {
+                let row = DVec3::from(linear.by_point[i]);
+                let weighted = linear.weight * row;
+                matrix += DMat3::from_cols(weighted * row.x, weighted * row.y, weighted * row.z);
+                right -= linear.residual[i] * weighted;
+            }
+        }
+        let diagonal = DVec3::new(matrix.x_axis.x, matrix.y_axis.y, matrix.z_axis.z);
+        matrix += DMat3::from_diagonal((damping * diagonal).max(DVec3::splat(1e-12)));
+        let inverse = matrix.inverse();
+        // A point on one line of sight stays.
+        let inverse = if inverse.is_finite() { inverse } else { DMat3::ZERO };
+        Self { inverse, right }
+    }
+}
+
+/// The system of all cameras and lenses after points are eliminated.
+struct Reduced {
+    /// Lower triangle, [n, n].
+    matrix: Vec<f64>,
+    /// The diagonal before points are eliminated, which damping multiplies.
+    diagonal: Vec<f64>,
+    right: Vec<f64>,
+    n: usize,
+}
+
+impl Reduced {
+    fn new(n: usize) -> Self {
+        Self { matrix: vec![0.0; n * n], diagonal: vec![0.0; n], right: vec![0.0; n], n }
+    }
+
+    /// Adds the observations of a point.
+    fn add(&mut self, observations: &[Linear], damping: f64) {
+        let own = Own::of(observations, damping);
+        // Jₚᵀ·w·J of each observation, by column.
+        let couplings: Vec<[(DVec3, usize); POSE + 1]> = observations
+            .iter()
+            .map(|linear| {
+                let points = linear.by_point.map(DVec3::from);
+                linear.columns().map(|(column, at)| {
+                    (linear.weight * (column[0] * points[0] + column[1] * points[1]), at)
+                })
+            })
+            .collect();
+        for linear in observations {
+            let columns = linear.columns();
+            for (a, i) in columns {
+                self.right[i] -= linear.weight * (a[0] * linear.residual[0] + a[1] * linear.residual[1]);
+                self.diagonal[i] += linear.weight * (a[0] * a[0] + a[1] * a[1]);
+                for (b, j) in columns {
+                    if j <= i {
+                        self.matrix[i * self.n + j] += linear.weight * (a[0] * b[0] + a[1] * b[1]);
+                    }
+                }
+            }
+        }
+        for first in &couplings {
+            for (a, i) in first {
+                let solved = own.inverse * *a;
+                self.right[*i] -= solved.dot(own.right);
+                let row = &mut self.matrix[i * self.n..][..self.n];
+                for (b, j) in couplings.as_flattened() {
+                    if j <= i {
+                        row[*j] -= solved.dot(*b);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Moves a point to where its reprojection errors are least, for cameras that stay.
+pub(super) fn triangulate(point: &mut Seen, cameras: &[Camera], huber: f64) {
+    let mut damping = DAMPING;
+    for _ in 0..POINT_STEPS {
+        let linear = |seen: &Observation| Linear::of(point.position, seen, &cameras[seen.view as usize], [0; 2], huber);
+        let linear: Vec<Linear> = point.track.iter().filter_map(linear).collect();
+        let own = Own::of(&linear, damping);
+        let moved = Seen { position: point.position + own.inverse * own.right, track: point.track.clone() };
+        let [before, after] = [&*point, &moved].map(|point| cost_of(cameras, std::slice::from_ref(point), huber));
+        if after < before {
+            *point = moved;
+            damping *= RELAX;
+        } else {
+            damping *= TIGHTEN;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Cameras on an arc around points, and what they see.
+    fn scene() -> (Vec<Camera>, Vec<Seen>) {
+        let intrinsics = Intrinsics {
+            lens: trimip_core::Lens::perspective([0.02, -0.01, 0.0, 0.0], [0.001, 0.0], [0.0; 3]),
+            ..Intrinsics::from_angle(400, 300, 0.9)
+        };
+        let cameras: Vec<Camera> = (0..12)
+            .map(|i| {
+                let angle = 0.3 * f64::from(i);
+                let origin = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0 + 0.3 * angle.sin());
+                Camera::look_at(intrinsics, origin, DVec3::new(0.1, 0.0, 0.2), DVec3::Z)
+            })
+            .collect();
+        let points = (0..150).map(|i| {
+            let wave = |by: f64| (by * f64::from(i)).sin();
+            let position = 1.2 * DVec3::new(wave(1.1), wave(2.3), wave(3.7));
+            let seen = |(view, camera): (usize, &Camera)| {
+                let at = camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin))?;
+                Some(Observation { view: view as u32, at })
+            };
+            Seen { position, track: cameras.iter().enumerate().filter_map(seen).collect() }
+        });
+        let points = points.collect();
+        (cameras, points)
+    }
+
+    fn errors(cameras: &[Camera], points: &[Seen]) -> Vec<f64> {
+        let of = |point: &Seen| -> Vec<f64> {
+            point.track.iter().map(|seen| seen.error(point.position, &cameras[seen.view as usize]).unwrap()).collect()
+        };
+        points.iter().flat_map(of).collect()
+    }
+
+    fn disturb(cameras: &mut [Camera], points: &mut [Seen]) {
+        for (i, camera) in cameras.iter_mut().enumerate() {
+            let i = i as f64;
+            let turn = DMat3::from_quat(DQuat::from_scaled_axis(0.01 * DVec3::new(i.sin(), i.cos(), (2.0 * i).sin())));
+            camera.rotation *= turn;
+            camera.origin += 0.05 * DVec3::new((3.0 * i).sin(), (5.0 * i).cos(), i.sin());
+            camera.intrinsics.fx *= 1.02;
+            camera.intrinsics.fy *= 1.02;
+        }
+        for (i, point) in points.iter_mut().enumerate() {
+            point.position += 0.03 * DVec3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin());
+        }
+    }
+
+    #[test]
+    fn cameras_points_and_the_focal_length_come_back() {
+        let (true_cameras, true_points) = scene();
+        let (mut cameras, mut points) = (true_cameras.clone(), true_points.clone());
+        disturb(&mut cameras, &mut points);
+        assert!(errors(&cameras, &points).iter().sum::<f64>() / 1800.0 > 3.0);
+        Bundle::new(&mut cameras, 1.0).adjust(&mut points);
+        let worst = errors(&cameras, &points).into_iter().fold(0.0, f64::max);
+        assert!(worst < 1e-3, "{worst} pixels");
+        let focal = cameras[0].intrinsics.fx / true_cameras[0].intrinsics.fx;
+        assert!((focal - 1.0).abs() < 1e-3, "{focal}");
+        // The same but for place, direction and size, which photographs do not show.
+        let between = |cameras: &[Camera], a: usize, b: usize| (cameras[a].origin - cameras[b].origin).length();
+        let size = between(&cameras, 0, 11) / between(&true_cameras, 0, 11);
+        for (a, b) in [(0, 5), (3, 9), (2, 11)] {
+            let ratio = between(&cameras, a, b) / between(&true_cameras, a, b);
+            assert!((ratio / size - 1.0).abs() < 1e-4, "{ratio} {size}");
+        }
+    }
+
+    /// A tenth of the observations are wrong by up to 100 pixels.
+    #[test]
+    fn wrong_observations_do_little_harm() {
+        let (true_cameras, mut points) = scene();
+        let mut cameras = true_cameras.clone();
+        for (i, point) in points.iter_mut().enumerate() {
+            if let Some(seen) = point.track.get_mut(i % 12).filter(|_| i % 2 == 0) {
+                seen.at[i / 2 % 2] += 100.0 * (i as f64).sin();
+            }
+        }
+        let right = points.clone();
+        disturb(&mut cameras, &mut points);
+        Bundle::new(&mut cameras, 1.0).adjust(&mut points);
+        let mut errors = errors(&cameras, &right);
+        errors.sort_by(f64::total_cmp);
+        let mut adjusted = tests::errors(&cameras, &points);
+        adjusted.sort_by(f64::total_cmp);
+        assert!(adjusted[adjusted.len() / 2] < 0.3, "{}", adjusted[adjusted.len() / 2]);
+    }
+
+    #[test]
+    fn derivatives_are_finite_differences() {
+        let (cameras, points) = scene();
+        let (camera, seen) = (&cameras[3], points[7].track[3]);
+        let seen = Observation { at: [seen.at[0] + 0.3, seen.at[1] - 0.2], ..seen };
+        let linear = Linear::of(points[7].position, &seen, camera, [0, POSE], 10.0).unwrap();
+        let residual = |camera: &Camera, position: DVec3| {
+            let at = camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin)).unwrap();
+            DVec3::new(at[0] - seen.at[0], at[1] - seen.at[1], 0.0)
+        };
+        let h = 1e-5;
+        let moved = |i: usize, by: f64| {
+            let axis = by * DVec3::AXES[i % 3];
+            let (mut camera, mut position) = (*camera, points[7].position);
+            match i / 3 {
+                0 => camera.rotation *= DMat3::from_quat(DQuat::from_scaled_axis(axis)),
+                1 => camera.origin += camera.rotation * axis,
+                2 => position += axis,
+                _ => {
+                    camera.intrinsics.fx *= by.exp();
+                    camera.intrinsics.fy *= by.exp();
+                }
+            }
+            residual(&camera, position)
+        };
+        for i in 0..10 {
+            let slope = (moved(i, h) - moved(i, -h)) / (2.0 * h);
+            let found = (0..2).map(|k| match i {
+                0..6 => linear.by_pose[k][i],
+                6..9 => linear.by_point[k][i - 6],
+                _ => linear.by_focal[k],
+            });
+            for (found, slope) in found.zip(slope.to_array()) {
+                assert!((found - slope).abs() < 1e-3 * slope.abs().max(1.0), "{i}: {found} {slope}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_point_goes_where_its_cameras_saw_it() {
+        let (cameras, points) = scene();
+        let mut point = points[3].clone();
+        point.position += DVec3::new(0.05, -0.1, 0.08);
+        triangulate(&mut point, &cameras, 1.0);
+        assert!((point.position - points[3].position).length() < 1e-5, "{:?}", point.position);
+    }
+}

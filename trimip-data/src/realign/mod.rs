@@ -1,0 +1,440 @@
+//! Parts of a model from structure from motion that stand apart. Where a scene repeats itself, as the pattern of a carpet does,
+//! feature matches join photographs that show different places, and a mapper places a part of the photographs around a second
+//! copy of the scene. Each part fits its own photographs, so no reprojection error shows it; photographs taken one after the other do.
+//!
+//! [`realign`] looks where the path of the cameras jumps and few points are shared. If the photographs on both sides of a jump look
+//! alike, and their points agree on one similarity that the model does not have, the part on one side is moved by it. Points
+//! of both parts that look alike are then joined, and all cameras are adjusted to them.
+
+mod bundle;
+mod cholesky;
+mod covisibility;
+mod patches;
+mod similarity;
+
+use crate::{
+    points::{Observation, Point},
+    source::map_in_order,
+};
+use bundle::{Bundle, Seen, triangulate};
+use covisibility::Covisibility;
+use glam::DVec3;
+pub(crate) use patches::Gray;
+use patches::{Match, Patches};
+use rayon::prelude::*;
+use similarity::Similarity;
+use std::collections::{BTreeMap, HashMap};
+use trimip_core::{
+    Camera, Result,
+    math::rng::{Random, Sequence, below},
+    plural::count,
+};
+
+/// Numbers of frames of a model that is examined. With more, the system of the adjustment takes gigabytes.
+const FRAMES: [usize; 2] = [8, 700];
+
+/// A jump is a step from one frame to the next that is longer than so many median steps, with less than this share of the median
+/// number of shared points.
+const JUMP: f64 = 3.0;
+const FEW_SHARED: f64 = 0.25;
+
+/// Most jumps that are examined, and most parts that are moved.
+const MOST_JUMPS: usize = 16;
+const MOST_PARTS: usize = 4;
+
+/// Patches of a frame at a jump, and of a frame whose points are joined.
+const PATCHES: [usize; 2] = [2000, 1000];
+
+/// Least matches that agree on a similarity, and least share of all matches: at a jump, of a second pair of frames there, and between
+/// frames whose points are joined.
+const AGREED: [(usize, f64); 3] = [(60, 0.6), (30, 0.4), (12, 0.4)];
+
+/// Most of the matches that agree with the model as it is, for a jump in which it is wrong.
+const IN_PLACE: f64 = 0.1;
+
+/// Largest distance of matches that agree, as a fraction of the longer side of the photograph.
+const TOLERANCE: f64 = 0.005;
+
+/// Random samples of three matches from which similarities are found.
+const SAMPLES: u32 = 400;
+
+/// Frames of other parts to which the points of a frame are joined.
+const NEIGHBOURS: usize = 4;
+
+/// Observations of each frame for the adjustment: of points that were joined, and of others. Long tracks come first.
+const OBSERVATIONS: [usize; 2] = [300, 300];
+
+/// Huber's threshold and the largest error of an observation that is kept, as multiples of the model's median error.
+const HUBER: f64 = 3.0;
+const LARGEST_ERROR: f64 = 8.0;
+
+/// Largest median error of an adjusted model, and of its joined points, as multiples of the median error before. Parts that do not
+/// belong together have more.
+const ADJUSTED: [f64; 2] = [1.5, 3.0];
+
+/// A model whose parts are aligned.
+pub(crate) struct Realigned {
+    pub(crate) cameras: Vec<Camera>,
+    /// With the tracks of the model, except for observations that no longer fit.
+    pub(crate) points: Vec<Point>,
+    /// What was found, in words.
+    pub(crate) warning: String,
+}
+
+/// What is known of a model: its frames in the order in which they were taken.
+pub(crate) struct Model<'a> {
+    pub(crate) names: Vec<&'a str>,
+    pub(crate) cameras: Vec<Camera>,
+    /// With tracks by frame.
+    pub(crate) points: Vec<Point>,
+    /// Decodes the photograph of a frame.
+    pub(crate) picture: &'a (dyn Fn(usize) -> Result<Gray> + Sync),
+}
+
+/// A jump across which the model is wrong.
+struct Jump {
+    /// The frames on both sides.
+    frames: [usize; 2],
+    /// Moves the scene of the first one to that of the second one.
+    similarity: Similarity,
+    /// Matches that agree, and all.
+    agreed: [usize; 2],
+}
+
+/// Aligns parts of a model that stand apart; `None` if none does. The same bits for any number of threads.
+///
+/// # Errors
+/// When a photograph cannot be decoded.
+pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Realigned>> {
+    let frames = model.cameras.len();
+    let tracked = model.points.iter().any(|point| point.track.len() > 1);
+    if !tracked || !(FRAMES[0]..=FRAMES[1]).contains(&frames) {
+        return Ok(None);
+    }
+    let usual = median(model.errors());
+    let mut parts = vec![0_usize; frames];
+    let mut told = Vec::new();
+    while told.len() < MOST_PARTS {
+        let Some((jump, moved)) = model.find_jump()? else { break };
+        let side = moved[jump.frames[0]];
+        let similarity = if side { jump.similarity } else { jump.similarity.inverse() };
+        let [first, last] = jump.frames;
+        let distance = (model.cameras[first].origin - model.cameras[last].origin).length();
+        model.separate(&moved);
+        model.shift(&moved, &similarity);
+        told.push(format!(
+            "{} of {frames} photographs stood apart from the others: {} of {} matches between {} and {} agree that these are {:.2} units apart, \
+             not {distance:.2}",
+            moved.iter().filter(|is_moved| **is_moved).count(),
+            jump.agreed[0],
+            jump.agreed[1],
+            model.names[first],
+            model.names[last],
+            (model.cameras[first].origin - model.cameras[last].origin).length(),
+        ));
+        let next = parts.iter().max().map_or(1, |most| most + 1);
+        // A part of a part is another part.
+        let mut new = HashMap::new();
+        for (part, _) in parts.iter_mut().zip(&moved).filter(|(_, moved)| **moved) {
+            let after = next + new.len();
+            *part = *new.entry(*part).or_insert(after);
+        }
+    }
+    if told.is_empty() {
+        return Ok(None);
+    }
+    let joined = model.join(&parts)?;
+    let [all, of_joined] = model.adjust(&joined, usual);
+    let fits = all <= ADJUSTED[0] * usual && of_joined <= ADJUSTED[1] * usual;
+    if !fits {
+        return Ok(None);
+    }
+    let warning = format!(
+        "{}. They are aligned, and all cameras adjusted ({} joined; median reprojection error {all:.2} instead of {usual:.2} pixels); \
+         data.realign = \"off\" keeps the model as it is",
+        told.join("; "),
+        count(joined.len(), "point"),
+    );
+    Ok(Some(Realigned { cameras: model.cameras, points: model.points, warning }))
+}
+
+impl Model<'_> {
+    /// All reprojection errors.
+    fn errors(&self) -> Vec<f64> {
+        self.points.iter().flat_map(|point| errors(point, &self.cameras)).collect()
+    }
+
+    /// The points that each frame saw.
+    fn seen(&self) -> Vec<Vec<u32>> {
+        let mut seen = vec![Vec::new(); self.cameras.len()];
+        for (index, point) in self.points.iter().enumerate() {
+            point.track.iter().for_each(|own| seen[own.view as usize].push(index as u32));
+        }
+        seen
+    }
+
+    /// The first jump across which the model is wrong, by length, and the smaller of the sides that it divides.
+    fn find_jump(&self) -> Result<Option<(Jump, Vec<bool>)>> {
+        let frames = self.cameras.len();
+        let covisibility = Covisibility::of(frames, &self.points);
+        let steps: Vec<f64> =
+            self.cameras.windows(2).map(|pair| (pair[1].origin - pair[0].origin).length()).collect();
+        let usual = median(steps.clone());
+        let shared = |i: usize| f64::from(covisibility.shared(i, i + 1));
+        let usually_shared = median((0..steps.len()).map(shared).collect());
+        let mut jumps: Vec<usize> = (0..steps.len())
+            .filter(|&i| steps[i] > JUMP * usual && shared(i) < FEW_SHARED * usually_shared)
+            .collect();
+        jumps.sort_by(|&a, &b| steps[b].total_cmp(&steps[a]).then(a.cmp(&b)));
+        let seen = self.seen();
+        for before in jumps.into_iter().take(MOST_JUMPS) {
+            if let Some(jump) = self.examine([before, before + 1], &seen)? {
+                let mut side = covisibility.side(before, before + 1);
+                if 2 * side.iter().filter(|own| **own).count() > frames {
+                    side.iter_mut().for_each(|own| *own = !*own);
+                }
+                return Ok(Some((jump, side)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The similarity on which the photographs on both sides of a jump agree, if it is not that of the model.
+    fn examine(&self, frames: [usize; 2], seen: &[Vec<u32>]) -> Result<Option<Jump>> {
+        let [first, last] = frames;
+        let patches = |frame: usize| self.patches(frame, &seen[frame], PATCHES[0]);
+        let [one, other] = [patches(first)?, patches(last)?];
+        let matches = one.matches(&other);
+        let Some((similarity, agreeing)) = self.agreement(&matches, last, AGREED[0]) else { return Ok(None) };
+        let counts = [agreeing.len(), matches.len()];
+        let in_place = matches.iter().filter(|found| self.distance(found, last, None) < self.tolerance(last)).count();
+        if in_place as f64 > IN_PLACE * matches.len() as f64 {
+            return Ok(None);
+        }
+        // Another pair of frames must agree on the same similarity.
+        let pairs = [(first.checked_sub(1), Some(last)), (Some(first), Some(last + 1).filter(|&next| next < self.cameras.len()))];
+        for (a, b) in pairs {
+            let (Some(a), Some(b)) = (a, b) else { continue };
+            let matches = match a == first {
+                true => one.matches(&patches(b)?),
+                false => patches(a)?.matches(&other),
+            };
+            let fits = |found: &&Match| self.distance(found, b, Some(&similarity)) < 2.0 * self.tolerance(b);
+            let agreed = matches.iter().filter(fits).count();
+            if enough(agreed, matches.len(), AGREED[1]) {
+                return Ok(Some(Jump { frames, similarity, agreed: counts }));
+            }
+        }
+        Ok(None)
+    }
+
+    fn patches(&self, frame: usize, own: &[u32], most: usize) -> Result<Patches> {
+        Ok(Patches::new(&(self.picture)(frame)?, frame as u32, own, &self.points, most))
+    }
+
+    /// Largest distance of matches that agree in `frame`, pixels.
+    fn tolerance(&self, frame: usize) -> f64 {
+        let k = &self.cameras[frame].intrinsics;
+        TOLERANCE * f64::from(k.width.max(k.height))
+    }
+
+    /// How far from where `frame` saw its point of a match it would see the other point, pixels.
+    fn distance(&self, found: &Match, frame: usize, by: Option<&Similarity>) -> f64 {
+        let point = DVec3::from(self.points[found.points[0] as usize].position);
+        let position = by.map_or(point, |by| by.of(point));
+        let seen = Observation { view: frame as u32, at: found.at };
+        seen.error(position, &self.cameras[frame]).unwrap_or(f64::INFINITY)
+    }
+
+    /// The similarity of most matches (Fischler and Bolles 1981), and those of them that agree with it.
+    fn agreement(&self, matches: &[Match], frame: usize, least: (usize, f64)) -> Option<(Similarity, Vec<Match>)> {
+        if matches.len() < least.0.max(3) {
+            return None;
+        }
+        let position = |index: u32| DVec3::from(self.points[index as usize].position);
+        let fitted = |chosen: &[Match]| {
+            let [from, to] = [0, 1].map(|i| chosen.iter().map(|own| position(own.points[i])).collect::<Vec<_>>());
+            Similarity::fit(&from, &to)
+        };
+        let tolerance = self.tolerance(frame);
+        let agreeing = |similarity: &Similarity| -> Vec<Match> {
+            let fits = |found: &&Match| self.distance(found, frame, Some(similarity)) < tolerance;
+            matches.iter().filter(fits).copied().collect()
+        };
+        let random = Random::new(frame as u64);
+        let mut best: Vec<Match> = Vec::new();
+        for sample in 0..SAMPLES {
+            let drawn = random.bits(Sequence::Sample, 0, sample);
+            let chosen = [0, 1, 2].map(|i| matches[below(drawn[i], matches.len() as u32) as usize]);
+            let found = fitted(&chosen).map(|similarity| agreeing(&similarity)).unwrap_or_default();
+            if found.len() > best.len() {
+                best = found;
+            }
+        }
+        // The fit of all that agree is better than that of three.
+        let mut similarity = fitted(&best)?;
+        for _ in 0..3 {
+            let found = agreeing(&similarity);
+            if found.len() < best.len() {
+                break;
+            }
+            similarity = fitted(&found)?;
+            best = found;
+        }
+        enough(best.len(), matches.len(), least).then_some((similarity, best))
+    }
+
+    /// Divides tracks between the frames of a side and the others: the smaller share of each is dropped.
+    fn separate(&mut self, side: &[bool]) {
+        for point in &mut self.points {
+            let own = point.track.iter().filter(|seen| side[seen.view as usize]).count();
+            let kept = 2 * own > point.track.len();
+            point.track.retain(|seen| side[seen.view as usize] == kept);
+        }
+        self.points.retain(|point| point.track.len() > 1);
+    }
+
+    /// Moves the frames of a side, and the points that they saw.
+    fn shift(&mut self, side: &[bool], similarity: &Similarity) {
+        for (camera, _) in self.cameras.iter_mut().zip(side).filter(|(_, own)| **own) {
+            *camera = similarity.of_camera(camera);
+        }
+        for point in &mut self.points {
+            if side[point.track[0].view as usize] {
+                point.position = similarity.of(point.position.into()).to_array();
+            }
+        }
+    }
+
+    /// Joins points of different parts that look alike, and returns the joined ones. Points that are joined to another have no track.
+    fn join(&mut self, parts: &[usize]) -> Result<Vec<u32>> {
+        let frames: Vec<usize> = (0..parts.len()).collect();
+        let seen = self.seen();
+        let patches = map_in_order(&frames, |_, &frame| self.patches(frame, &seen[frame], PATCHES[1]))?;
+        let pairs: Vec<[usize; 2]> =
+            frames.iter().flat_map(|&frame| self.neighbours(frame, parts).map(move |other| [frame, other])).collect();
+        let found: Vec<Vec<Match>> = pairs
+            .par_iter()
+            .map(|&[frame, other]| {
+                let matches = patches[frame].matches(&patches[other]);
+                self.agreement(&matches, other, AGREED[2]).map(|(_, agreeing)| agreeing).unwrap_or_default()
+            })
+            .collect();
+        // Pairs of points by the number of frames that match them; each point is joined once.
+        let mut votes: BTreeMap<[u32; 2], u32> = BTreeMap::new();
+        for Match { points: [a, b], .. } in found.into_iter().flatten() {
+            *votes.entry([a.min(b), a.max(b)]).or_default() += 1;
+        }
+        let mut ordered: Vec<([u32; 2], u32)> = votes.into_iter().collect();
+        ordered.sort_by_key(|(points, votes)| (std::cmp::Reverse(*votes), *points));
+        let mut is_joined = vec![false; self.points.len()];
+        let mut joined = Vec::new();
+        for ([a, b], _) in ordered {
+            let [own, other] = [a, b].map(|index| index as usize);
+            if is_joined[own] || is_joined[other] {
+                continue;
+            }
+            (is_joined[own], is_joined[other]) = (true, true);
+            let track = std::mem::take(&mut self.points[other].track);
+            let [from, to] = [other, own].map(|index| DVec3::from(self.points[index].position));
+            let share = track.len() as f64 / (track.len() + self.points[own].track.len()) as f64;
+            self.points[own].position = to.lerp(from, share).to_array();
+            let new = track.into_iter().filter(|seen| self.points[own].track.iter().all(|old| old.view != seen.view));
+            let new: Vec<Observation> = new.collect();
+            self.points[own].track.extend(new);
+            joined.push(a);
+        }
+        Ok(joined)
+    }
+
+    /// The frames of other parts from which the scene looks most like from `frame`, of which at most half look the other way.
+    fn neighbours(&self, frame: usize, parts: &[usize]) -> impl Iterator<Item = usize> + use<> {
+        let own = &self.cameras[frame];
+        let reach = median(self.cameras.iter().map(|camera| (camera.origin - own.origin).length()).collect());
+        let difference = |other: &Camera| {
+            let turned = own.rotation.z_axis.angle_between(other.rotation.z_axis);
+            (own.origin - other.origin).length() / reach.max(f64::MIN_POSITIVE) + turned
+        };
+        let mut others: Vec<(f64, usize)> = (0..parts.len())
+            .filter(|&other| parts[other] != parts[frame])
+            .map(|other| (difference(&self.cameras[other]), other))
+            .collect();
+        others.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        others.into_iter().take(NEIGHBOURS).map(|(_, other)| other)
+    }
+
+    /// Adjusts all cameras to the joined points and to some of the others, and then all points to the cameras. `usual` is the median
+    /// error before. Returns the median errors of all points and of the joined ones.
+    fn adjust(&mut self, joined: &[u32], usual: f64) -> [f64; 2] {
+        let chosen = self.chosen(joined);
+        let seen = |index: &u32| {
+            let point = &self.points[*index as usize];
+            Seen { position: point.position.into(), track: point.track.clone() }
+        };
+        let huber = HUBER * usual;
+        let mut points: Vec<Seen> = chosen.iter().map(seen).collect();
+        Bundle::new(&mut self.cameras, huber).adjust(&mut points);
+        for (index, point) in chosen.iter().zip(points) {
+            self.points[*index as usize].position = point.position.to_array();
+        }
+        let cameras = &self.cameras;
+        self.points.par_iter_mut().filter(|point| !point.track.is_empty()).for_each(|point| {
+            let mut seen = Seen { position: point.position.into(), track: std::mem::take(&mut point.track) };
+            triangulate(&mut seen, cameras, huber);
+            point.position = seen.position.to_array();
+            point.track = seen.track;
+        });
+        let of_joined = joined.iter().flat_map(|index| errors(&self.points[*index as usize], cameras)).collect();
+        let medians = [median(self.errors()), median(of_joined)];
+        let most = LARGEST_ERROR * usual;
+        for point in &mut self.points {
+            let position = point.position.into();
+            point.track.retain(|seen| {
+                seen.error(position, &cameras[seen.view as usize]).is_some_and(|error| error <= most)
+            });
+            let errors = errors(point, cameras);
+            point.error = Some(errors.iter().sum::<f64>() / errors.len().max(1) as f64);
+            point.seen = Some(point.track.len());
+        }
+        self.points.retain(|point| point.track.len() > 1);
+        medians
+    }
+
+    /// Points for the adjustment: joined ones first, then those of the longest tracks, until each frame has enough of both.
+    fn chosen(&self, joined: &[u32]) -> Vec<u32> {
+        let length = |index: &u32| (std::cmp::Reverse(self.points[*index as usize].track.len()), *index);
+        let is_joined: std::collections::HashSet<u32> = joined.iter().copied().collect();
+        let others: Vec<u32> = (0..self.points.len() as u32).filter(|index| !is_joined.contains(index)).collect();
+        let mut chosen = Vec::new();
+        for (group, enough) in [joined.to_vec(), others].into_iter().zip(OBSERVATIONS) {
+            let mut group = group;
+            group.sort_by_key(length);
+            let mut counts = vec![0; self.cameras.len()];
+            for index in group {
+                let track = &self.points[index as usize].track;
+                if track.iter().any(|seen| counts[seen.view as usize] < enough) {
+                    track.iter().for_each(|seen| counts[seen.view as usize] += 1);
+                    chosen.push(index);
+                }
+            }
+        }
+        chosen
+    }
+}
+
+/// True if matches that agree are at least as many, and as large a share of all, as `least` says.
+fn enough(agreed: usize, all: usize, (least, share): (usize, f64)) -> bool {
+    agreed >= least && agreed as f64 >= share * all as f64
+}
+
+/// Reprojection errors of a point.
+fn errors(point: &Point, cameras: &[Camera]) -> Vec<f64> {
+    let position = point.position.into();
+    point.track.iter().filter_map(|seen| seen.error(position, &cameras[seen.view as usize])).collect()
+}
+
+/// The middle one of some values; 0 of none.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
