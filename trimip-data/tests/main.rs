@@ -17,6 +17,7 @@ mod orientation;
 mod phones;
 mod pictures;
 mod projections;
+mod realign;
 mod realitycapture;
 mod reports;
 mod shared;

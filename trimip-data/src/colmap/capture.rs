@@ -14,7 +14,7 @@ use crate::{
     photograph::Photograph,
     pictures::{self, Pictures},
     points::{Cloud, Observation, Point},
-    realign::{self, Gray, Realigned},
+    realign::{self, Aligned, Gray, Torn},
     source::{Pixels, Source, map_in_order},
     split::Split,
 };
@@ -226,9 +226,11 @@ fn realigned(file: &Path, frames: &mut [Frame], cloud: &mut Cloud) -> Result<Opt
         points: cloud.points.clone(),
         picture: &picture,
     };
-    let Some(Realigned { cameras, points, warning }) = realign::realign(model)? else { return Ok(None) };
-    frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera = camera);
-    cloud.points = points;
+    let Some(Torn { aligned, warning }) = realign::realign(model)? else { return Ok(None) };
+    if let Some(Aligned { cameras, points }) = aligned {
+        frames.iter_mut().zip(cameras).for_each(|(frame, camera)| frame.camera = camera);
+        cloud.points = points;
+    }
     Ok(Some(format!("{}: {warning}", file.display())))
 }
 

@@ -30,8 +30,11 @@ use trimip_core::{
     plural::count,
 };
 
-/// Numbers of frames of a model that is examined. With more, the system of the adjustment takes gigabytes.
-const FRAMES: [usize; 2] = [8, 700];
+/// Numbers of frames of a model that is examined.
+const FRAMES: [usize; 2] = [8, 4000];
+
+/// Most frames of a model whose cameras are adjusted. With more, the system of the adjustment takes gigabytes.
+const MOST_ADJUSTED: usize = 700;
 
 /// A jump is a step from one frame to the next that is longer than so many median steps, with less than this share of the median
 /// number of shared points.
@@ -72,13 +75,19 @@ const LARGEST_ERROR: f64 = 8.0;
 /// belong together have more.
 const ADJUSTED: [f64; 2] = [1.5, 3.0];
 
+/// A model with parts that stand apart.
+pub(crate) struct Torn {
+    /// The model after its parts are aligned, unless they do not fit together.
+    pub(crate) aligned: Option<Aligned>,
+    /// What was found, in words.
+    pub(crate) warning: String,
+}
+
 /// A model whose parts are aligned.
-pub(crate) struct Realigned {
+pub(crate) struct Aligned {
     pub(crate) cameras: Vec<Camera>,
     /// With the tracks of the model, except for observations that no longer fit.
     pub(crate) points: Vec<Point>,
-    /// What was found, in words.
-    pub(crate) warning: String,
 }
 
 /// What is known of a model: its frames in the order in which they were taken.
@@ -105,7 +114,7 @@ struct Jump {
 ///
 /// # Errors
 /// When a photograph cannot be decoded.
-pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Realigned>> {
+pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
     let frames = model.cameras.len();
     let tracked = model.points.iter().any(|point| point.track.len() > 1);
     if !tracked || !(FRAMES[0]..=FRAMES[1]).contains(&frames) {
@@ -143,19 +152,26 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Realigned>> {
     if told.is_empty() {
         return Ok(None);
     }
+    let told = told.join("; ");
+    let advice = "run COLMAP again, with sequential matching for a film";
+    if frames > MOST_ADJUSTED {
+        let warning = format!("{told}. Models of more than {MOST_ADJUSTED} photographs are not aligned: {advice}");
+        return Ok(Some(Torn { aligned: None, warning }));
+    }
     let joined = model.join(&parts)?;
     let [all, of_joined] = model.adjust(&joined, usual);
-    let fits = all <= ADJUSTED[0] * usual && of_joined <= ADJUSTED[1] * usual;
-    if !fits {
-        return Ok(None);
+    if all > ADJUSTED[0] * usual || of_joined > ADJUSTED[1] * usual {
+        let warning = format!(
+            "{told}. Aligned, they do not fit together ({of_joined:.2} pixels of error instead of {usual:.2}): {advice}"
+        );
+        return Ok(Some(Torn { aligned: None, warning }));
     }
     let warning = format!(
-        "{}. They are aligned, and all cameras adjusted ({} joined; median reprojection error {all:.2} instead of {usual:.2} pixels); \
-         data.realign = \"off\" keeps the model as it is",
-        told.join("; "),
+        "{told}. They are aligned, and all cameras adjusted ({} joined; median reprojection error {all:.2} instead of {usual:.2} pixels); \
+         data.realign = false keeps the model as it is",
         count(joined.len(), "point"),
     );
-    Ok(Some(Realigned { cameras: model.cameras, points: model.points, warning }))
+    Ok(Some(Torn { aligned: Some(Aligned { cameras: model.cameras, points: model.points }), warning }))
 }
 
 impl Model<'_> {
