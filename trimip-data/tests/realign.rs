@@ -22,7 +22,8 @@ fn noise(at: DVec3, cell: f64) -> f64 {
     let (low, part) = (at.floor(), at - at.floor());
     let corner = |[x, y, z]: [u32; 3]| {
         let [x, y, z] = (low + DVec3::new(x.into(), y.into(), z.into())).to_array().map(|place| place as i64);
-        let mut bits = (x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791)) as u64;
+        let mut bits =
+            (x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663) ^ z.wrapping_mul(83_492_791)) as u64;
         bits = (bits ^ (bits >> 33)).wrapping_mul(0xff51_afd7_ed55_8ccd);
         ((bits >> 40) as f64) / f64::from(1 << 24)
     };
@@ -37,7 +38,9 @@ fn noise(at: DVec3, cell: f64) -> f64 {
 
 /// Brightness of the walls: no two places look alike.
 fn shade(at: DVec3) -> f64 {
-    0.5 * noise(at, 0.11) + 0.3 * noise(at + DVec3::splat(7.3), 0.23) + 0.2 * noise(at - DVec3::splat(3.1), 0.6)
+    0.5 * noise(at, 0.11)
+        + 0.3 * noise(at + DVec3::splat(7.3), 0.23)
+        + 0.2 * noise(at - DVec3::splat(3.1), 0.6)
 }
 
 /// Where a ray from within the room meets a wall.
@@ -75,7 +78,11 @@ fn photograph(frame: usize) -> GrayImage {
 /// How the part stands apart: the room around its frames is another one.
 fn apart(is_torn: bool) -> (f64, DMat3, DVec3) {
     match is_torn {
-        true => (1.05, DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.02, 0.03, -0.04))), DVec3::new(3.0, 1.0, 0.2)),
+        true => (
+            1.05,
+            DMat3::from_quat(DQuat::from_scaled_axis(DVec3::new(0.02, 0.03, -0.04))),
+            DVec3::new(3.0, 1.0, 0.2),
+        ),
         false => (1.0, DMat3::IDENTITY, DVec3::ZERO),
     }
 }
@@ -92,7 +99,14 @@ fn model(is_torn: bool) -> Sparse {
         }
         let q = DQuat::from_mat3(&rotation);
         let t = -(rotation * centre);
-        sparse.images.push((frame as u32 + 1, [q.w, q.x, q.y, q.z], t.to_array(), 1, format!("{frame:03}.png"), Vec::new()));
+        sparse.images.push((
+            frame as u32 + 1,
+            [q.w, q.x, q.y, q.z],
+            t.to_array(),
+            1,
+            format!("{frame:03}.png"),
+            Vec::new(),
+        ));
     }
     let mut add = |at: DVec3, is_part: Option<bool>| {
         let number = sparse.points.len() as u64 + 1;
@@ -119,7 +133,10 @@ fn model(is_torn: bool) -> Sparse {
         // Evenly spread directions from the middle of the room.
         let z = 1.6 * (f64::from(i) + 0.5) / 4000.0 - 0.8;
         let angle = 2.399_963 * f64::from(i);
-        let at = wall(DVec3::ZERO, DVec3::new((1.0 - z * z).sqrt() * angle.cos(), (1.0 - z * z).sqrt() * angle.sin(), z));
+        let at = wall(
+            DVec3::ZERO,
+            DVec3::new((1.0 - z * z).sqrt() * angle.cos(), (1.0 - z * z).sqrt() * angle.sin(), z),
+        );
         match is_torn {
             true => [true, false].into_iter().for_each(|is_part| add(at, Some(is_part))),
             false => add(at, None),
@@ -190,11 +207,16 @@ fn a_part_that_stands_apart_is_aligned() {
     let worst = misplaced(&cameras(&aligned), &trained());
     assert!(worst < 0.01, "{worst} of a room 4 wide");
     // Points of both parts are one: a wall is where it is, not where its copy was.
-    let far = aligned.points.iter().filter(|point| DVec3::from(point.position).abs().max_element() > 2.3).count();
+    let far =
+        aligned.points.iter().filter(|point| DVec3::from(point.position).abs().max_element() > 2.3).count();
     assert!(20 * far < aligned.points.len(), "{far} of {}", aligned.points.len());
     assert_eq!(cameras(&read(folder.path(), |_| {})), cameras(&aligned), "the same bits each time");
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    assert_eq!(one.install(|| cameras(&read(folder.path(), |_| {}))), cameras(&aligned), "and for any threads");
+    assert_eq!(
+        one.install(|| cameras(&read(folder.path(), |_| {}))),
+        cameras(&aligned),
+        "and for any threads"
+    );
 }
 
 #[test]

@@ -192,7 +192,7 @@ mod tests {
         let text = config.to_toml();
         let data = text.split_once("[data]\n").and_then(|(_, rest)| rest.split_once("\n\n")).unwrap().0;
         let keys: Vec<&str> = data.lines().filter_map(|line| line.split(" = ").next()).collect();
-        let expected = "root format images train test holdout holdout_by test_list lens masks mask_keeps mask_role depths origin scales \
+        let expected = "root format images train test holdout holdout_by test_list lens masks mask_keeps mask_role depths realign origin scales \
                         convention edge_exponents background builtin_size builtin_train builtin_test \
                         builtin_supersampling builtin_finish most_pixels pixels";
         assert_eq!(keys, expected.split_whitespace().collect::<Vec<_>>());

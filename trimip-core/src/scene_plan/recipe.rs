@@ -36,7 +36,7 @@ const BY_ERROR: f64 = 0.8;
 
 /// Most rays of a run per pixel of its photographs for an error map. With 5 of them (*dtu24*), pixels that stay wrong are those that
 /// photographs contradict, and the map gains nothing.
-const SEEN_LITTLE: f64 = 2.0;
+const SEEN_LITTLE: f64 = 3.0;
 
 /// Kept samples of a ray, of objects and of places.
 const SAMPLES_PER_RAY: [f64; 2] = [2.0, 5.0];

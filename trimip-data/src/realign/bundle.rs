@@ -117,7 +117,12 @@ impl<'a> Bundle<'a> {
         points.par_iter().map(of_point).collect()
     }
     /// The cameras and points after a step.
-    fn step(&self, points: &[Seen], linear: &[Vec<Linear>], damping: f64) -> Option<(Vec<Camera>, Vec<Seen>)> {
+    fn step(
+        &self,
+        points: &[Seen],
+        linear: &[Vec<Linear>],
+        damping: f64,
+    ) -> Option<(Vec<Camera>, Vec<Seen>)> {
         let n = POSE * self.cameras.len() + self.lens_count;
         let size = linear.len().div_ceil(PARTS).max(1);
         let parts: Vec<Reduced> = linear
@@ -178,7 +183,13 @@ fn cost_of(cameras: &[Camera], points: &[Seen], huber: f64) -> f64 {
 
 impl Linear {
     /// `None` if the camera has no image of the point.
-    fn of(position: DVec3, seen: &Observation, camera: &Camera, unknowns: [usize; 2], huber: f64) -> Option<Self> {
+    fn of(
+        position: DVec3,
+        seen: &Observation,
+        camera: &Camera,
+        unknowns: [usize; 2],
+        huber: f64,
+    ) -> Option<Self> {
         let to_camera = camera.rotation.transpose();
         let local = to_camera * (position - camera.origin);
         let k = &camera.intrinsics;
@@ -277,9 +288,9 @@ impl Reduced {
             .iter()
             .map(|linear| {
                 let points = linear.by_point.map(DVec3::from);
-                linear.columns().map(|(column, at)| {
-                    (linear.weight * (column[0] * points[0] + column[1] * points[1]), at)
-                })
+                linear
+                    .columns()
+                    .map(|(column, at)| (linear.weight * (column[0] * points[0] + column[1] * points[1]), at))
             })
             .collect();
         for linear in observations {
@@ -313,11 +324,14 @@ impl Reduced {
 pub(super) fn triangulate(point: &mut Seen, cameras: &[Camera], huber: f64) {
     let mut damping = DAMPING;
     for _ in 0..POINT_STEPS {
-        let linear = |seen: &Observation| Linear::of(point.position, seen, &cameras[seen.view as usize], [0; 2], huber);
+        let linear = |seen: &Observation| {
+            Linear::of(point.position, seen, &cameras[seen.view as usize], [0; 2], huber)
+        };
         let linear: Vec<Linear> = point.track.iter().filter_map(linear).collect();
         let own = Own::of(&linear, damping);
         let moved = Seen { position: point.position + own.inverse * own.right, track: point.track.clone() };
-        let [before, after] = [&*point, &moved].map(|point| cost_of(cameras, std::slice::from_ref(point), huber));
+        let [before, after] =
+            [&*point, &moved].map(|point| cost_of(cameras, std::slice::from_ref(point), huber));
         if after < before {
             *point = moved;
             damping *= RELAX;
@@ -348,7 +362,8 @@ mod tests {
             let wave = |by: f64| (by * f64::from(i)).sin();
             let position = 1.2 * DVec3::new(wave(1.1), wave(2.3), wave(3.7));
             let seen = |(view, camera): (usize, &Camera)| {
-                let at = camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin))?;
+                let at =
+                    camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin))?;
                 Some(Observation { view: view as u32, at })
             };
             Seen { position, track: cameras.iter().enumerate().filter_map(seen).collect() }
@@ -359,7 +374,11 @@ mod tests {
 
     fn errors(cameras: &[Camera], points: &[Seen]) -> Vec<f64> {
         let of = |point: &Seen| -> Vec<f64> {
-            point.track.iter().map(|seen| seen.error(point.position, &cameras[seen.view as usize]).unwrap()).collect()
+            point
+                .track
+                .iter()
+                .map(|seen| seen.error(point.position, &cameras[seen.view as usize]).unwrap())
+                .collect()
         };
         points.iter().flat_map(of).collect()
     }
@@ -367,14 +386,17 @@ mod tests {
     fn disturb(cameras: &mut [Camera], points: &mut [Seen]) {
         for (i, camera) in cameras.iter_mut().enumerate() {
             let i = i as f64;
-            let turn = DMat3::from_quat(DQuat::from_scaled_axis(0.01 * DVec3::new(i.sin(), i.cos(), (2.0 * i).sin())));
+            let turn = DMat3::from_quat(DQuat::from_scaled_axis(
+                0.01 * DVec3::new(i.sin(), i.cos(), (2.0 * i).sin()),
+            ));
             camera.rotation *= turn;
             camera.origin += 0.05 * DVec3::new((3.0 * i).sin(), (5.0 * i).cos(), i.sin());
             camera.intrinsics.fx *= 1.02;
             camera.intrinsics.fy *= 1.02;
         }
         for (i, point) in points.iter_mut().enumerate() {
-            point.position += 0.03 * DVec3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin());
+            point.position +=
+                0.03 * DVec3::new((i as f64).sin(), (2.0 * i as f64).cos(), (3.0 * i as f64).sin());
         }
     }
 
@@ -390,7 +412,8 @@ mod tests {
         let focal = cameras[0].intrinsics.fx / true_cameras[0].intrinsics.fx;
         assert!((focal - 1.0).abs() < 1e-3, "{focal}");
         // The same but for place, direction and size, which photographs do not show.
-        let between = |cameras: &[Camera], a: usize, b: usize| (cameras[a].origin - cameras[b].origin).length();
+        let between =
+            |cameras: &[Camera], a: usize, b: usize| (cameras[a].origin - cameras[b].origin).length();
         let size = between(&cameras, 0, 11) / between(&true_cameras, 0, 11);
         for (a, b) in [(0, 5), (3, 9), (2, 11)] {
             let ratio = between(&cameras, a, b) / between(&true_cameras, a, b);
@@ -425,7 +448,8 @@ mod tests {
         let seen = Observation { at: [seen.at[0] + 0.3, seen.at[1] - 0.2], ..seen };
         let linear = Linear::of(points[7].position, &seen, camera, [0, POSE], 10.0).unwrap();
         let residual = |camera: &Camera, position: DVec3| {
-            let at = camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin)).unwrap();
+            let at =
+                camera.intrinsics.image_of(camera.rotation.transpose() * (position - camera.origin)).unwrap();
             DVec3::new(at[0] - seen.at[0], at[1] - seen.at[1], 0.0)
         };
         let h = 1e-5;

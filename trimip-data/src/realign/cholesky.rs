@@ -15,7 +15,8 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
         // The block on the diagonal.
         for i in first..last {
             for j in first..=i {
-                let sum = above[i * n + j] - dot(&above[i * n + first..i * n + j], &above[j * n + first..j * n + j]);
+                let sum = above[i * n + j]
+                    - dot(&above[i * n + first..i * n + j], &above[j * n + first..j * n + j]);
                 let value = if i == j { sum.sqrt() } else { sum / above[j * n + j] };
                 if !value.is_finite() || (i == j && value <= 0.0) {
                     return None;
@@ -33,7 +34,8 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
         });
         // What they leave of the rest.
         let width = last - first;
-        let panel: Vec<f64> = below.chunks_exact(n).flat_map(|row| row[first..last].iter().copied()).collect();
+        let panel: Vec<f64> =
+            below.chunks_exact(n).flat_map(|row| row[first..last].iter().copied()).collect();
         below.par_chunks_exact_mut(n).enumerate().for_each(|(i, row)| {
             let own = &panel[i * width..][..width];
             for (value, other) in row[last..].iter_mut().zip(panel.chunks_exact(width)).take(i + 1) {

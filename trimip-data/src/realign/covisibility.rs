@@ -39,7 +39,9 @@ impl Covisibility {
                 }
             }
         }
-        links.sort_by(|one, other| other.0.total_cmp(&one.0).then(one.1.cmp(&other.1)).then(one.2.cmp(&other.2)));
+        links.sort_by(|one, other| {
+            other.0.total_cmp(&one.0).then(one.1.cmp(&other.1)).then(one.2.cmp(&other.2))
+        });
         let mut sets = Sets((0..self.frames).collect());
         for (_, i, j) in links {
             let (i, j, a, b) = (sets.of(i), sets.of(j), sets.of(a), sets.of(b));
@@ -85,7 +87,10 @@ mod tests {
             points.extend((0..times).map(|_| seen_by(&views)));
         }
         let covisibility = Covisibility::of(7, &points);
-        assert_eq!([covisibility.shared(1, 2), covisibility.shared(2, 1), covisibility.shared(0, 3)], [8, 8, 0]);
+        assert_eq!(
+            [covisibility.shared(1, 2), covisibility.shared(2, 1), covisibility.shared(0, 3)],
+            [8, 8, 0]
+        );
         let expected = [true, true, true, false, false, false, false];
         assert_eq!(covisibility.side(2, 3), expected);
         assert_eq!(covisibility.side(0, 5), expected);

@@ -155,7 +155,8 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
     let told = told.join("; ");
     let advice = "run COLMAP again, with sequential matching for a film";
     if frames > MOST_ADJUSTED {
-        let warning = format!("{told}. Models of more than {MOST_ADJUSTED} photographs are not aligned: {advice}");
+        let warning =
+            format!("{told}. Models of more than {MOST_ADJUSTED} photographs are not aligned: {advice}");
         return Ok(Some(Torn { aligned: None, warning }));
     }
     let joined = model.join(&parts)?;
@@ -223,12 +224,16 @@ impl Model<'_> {
         let matches = one.matches(&other);
         let Some((similarity, agreeing)) = self.agreement(&matches, last, AGREED[0]) else { return Ok(None) };
         let counts = [agreeing.len(), matches.len()];
-        let in_place = matches.iter().filter(|found| self.distance(found, last, None) < self.tolerance(last)).count();
+        let in_place =
+            matches.iter().filter(|found| self.distance(found, last, None) < self.tolerance(last)).count();
         if in_place as f64 > IN_PLACE * matches.len() as f64 {
             return Ok(None);
         }
         // Another pair of frames must agree on the same similarity.
-        let pairs = [(first.checked_sub(1), Some(last)), (Some(first), Some(last + 1).filter(|&next| next < self.cameras.len()))];
+        let pairs = [
+            (first.checked_sub(1), Some(last)),
+            (Some(first), Some(last + 1).filter(|&next| next < self.cameras.len())),
+        ];
         for (a, b) in pairs {
             let (Some(a), Some(b)) = (a, b) else { continue };
             let matches = match a == first {
@@ -263,13 +268,19 @@ impl Model<'_> {
     }
 
     /// The similarity of most matches (Fischler and Bolles 1981), and those of them that agree with it.
-    fn agreement(&self, matches: &[Match], frame: usize, least: (usize, f64)) -> Option<(Similarity, Vec<Match>)> {
+    fn agreement(
+        &self,
+        matches: &[Match],
+        frame: usize,
+        least: (usize, f64),
+    ) -> Option<(Similarity, Vec<Match>)> {
         if matches.len() < least.0.max(3) {
             return None;
         }
         let position = |index: u32| DVec3::from(self.points[index as usize].position);
         let fitted = |chosen: &[Match]| {
-            let [from, to] = [0, 1].map(|i| chosen.iter().map(|own| position(own.points[i])).collect::<Vec<_>>());
+            let [from, to] =
+                [0, 1].map(|i| chosen.iter().map(|own| position(own.points[i])).collect::<Vec<_>>());
             Similarity::fit(&from, &to)
         };
         let tolerance = self.tolerance(frame);
@@ -327,8 +338,10 @@ impl Model<'_> {
         let frames: Vec<usize> = (0..parts.len()).collect();
         let seen = self.seen();
         let patches = map_in_order(&frames, |_, &frame| self.patches(frame, &seen[frame], PATCHES[1]))?;
-        let pairs: Vec<[usize; 2]> =
-            frames.iter().flat_map(|&frame| self.neighbours(frame, parts).map(move |other| [frame, other])).collect();
+        let pairs: Vec<[usize; 2]> = frames
+            .iter()
+            .flat_map(|&frame| self.neighbours(frame, parts).map(move |other| [frame, other]))
+            .collect();
         let found: Vec<Vec<Match>> = pairs
             .par_iter()
             .map(|&[frame, other]| {
@@ -355,7 +368,9 @@ impl Model<'_> {
             let [from, to] = [other, own].map(|index| DVec3::from(self.points[index].position));
             let share = track.len() as f64 / (track.len() + self.points[own].track.len()) as f64;
             self.points[own].position = to.lerp(from, share).to_array();
-            let new = track.into_iter().filter(|seen| self.points[own].track.iter().all(|old| old.view != seen.view));
+            let new = track
+                .into_iter()
+                .filter(|seen| self.points[own].track.iter().all(|old| old.view != seen.view));
             let new: Vec<Observation> = new.collect();
             self.points[own].track.extend(new);
             joined.push(a);
@@ -400,7 +415,8 @@ impl Model<'_> {
             point.position = seen.position.to_array();
             point.track = seen.track;
         });
-        let of_joined = joined.iter().flat_map(|index| errors(&self.points[*index as usize], cameras)).collect();
+        let of_joined =
+            joined.iter().flat_map(|index| errors(&self.points[*index as usize], cameras)).collect();
         let medians = [median(self.errors()), median(of_joined)];
         let most = LARGEST_ERROR * usual;
         for point in &mut self.points {
@@ -420,7 +436,8 @@ impl Model<'_> {
     fn chosen(&self, joined: &[u32]) -> Vec<u32> {
         let length = |index: &u32| (std::cmp::Reverse(self.points[*index as usize].track.len()), *index);
         let is_joined: std::collections::HashSet<u32> = joined.iter().copied().collect();
-        let others: Vec<u32> = (0..self.points.len() as u32).filter(|index| !is_joined.contains(index)).collect();
+        let others: Vec<u32> =
+            (0..self.points.len() as u32).filter(|index| !is_joined.contains(index)).collect();
         let mut chosen = Vec::new();
         for (group, enough) in [joined.to_vec(), others].into_iter().zip(OBSERVATIONS) {
             let mut group = group;

@@ -47,7 +47,10 @@ impl Gray {
             for line in 0..by {
                 let own = &pixels[(y * by + line) * width..][..wide * by];
                 for (value, block) in row.iter_mut().zip(own.chunks_exact(by)) {
-                    *value += block.iter().map(|[r, g, b, _]| u32::from(*r) + u32::from(*g) + u32::from(*b)).sum::<u32>() as f32;
+                    *value += block
+                        .iter()
+                        .map(|[r, g, b, _]| u32::from(*r) + u32::from(*g) + u32::from(*b))
+                        .sum::<u32>() as f32;
                 }
             }
         }
@@ -82,7 +85,8 @@ impl Gray {
         let reach = 0.5 * SPACING * (SIDE - 1) as f64;
         let [x, y] = at.map(|place| place / self.reduction - 0.5 - reach);
         let (right, bottom) = (x + 2.0 * reach, y + 2.0 * reach);
-        let inside = x >= 0.0 && y >= 0.0 && right < self.width as f64 - 1.0 && bottom < self.height as f64 - 1.0;
+        let inside =
+            x >= 0.0 && y >= 0.0 && right < self.width as f64 - 1.0 && bottom < self.height as f64 - 1.0;
         if !inside {
             return None;
         }
@@ -191,7 +195,8 @@ mod tests {
     fn picture(shift: f64, brightness: f64) -> Gray {
         let (width, height) = (160, 120);
         let value = |x: f64, y: f64| {
-            let waves = (0.21 * x + 0.0012 * x * y).sin() + (0.3 * y - 0.002 * x * x).sin() + (0.11 * (x - y)).cos();
+            let waves =
+                (0.21 * x + 0.0012 * x * y).sin() + (0.3 * y - 0.002 * x * x).sin() + (0.11 * (x - y)).cos();
             (brightness * (127.0 + 40.0 * waves)) as u8
         };
         let pixels: Vec<[u8; 4]> = (0..width * height)
@@ -202,7 +207,8 @@ mod tests {
     }
 
     fn points(shift: f64, view: u32) -> Vec<Point> {
-        let places = (0..60).map(|i| [40.0 + f64::from(i % 10) * 8.0 - shift, 20.0 + f64::from(i / 10) * 15.0]);
+        let places =
+            (0..60).map(|i| [40.0 + f64::from(i % 10) * 8.0 - shift, 20.0 + f64::from(i / 10) * 15.0]);
         let point = |at| Point {
             position: [0.0; 3],
             color: [0; 3],

@@ -94,7 +94,9 @@ mod tests {
     #[test]
     fn the_fit_of_noisy_points_is_the_least_in_rotation_and_shift() {
         let (true_one, from) = example();
-        let noise = |i: usize| 0.05 * DVec3::new((9.0 * i as f64).sin(), (5.0 * i as f64).cos(), (i % 3) as f64 - 1.0);
+        let noise = |i: usize| {
+            0.05 * DVec3::new((9.0 * i as f64).sin(), (5.0 * i as f64).cos(), (i % 3) as f64 - 1.0)
+        };
         let to: Vec<DVec3> = from.iter().enumerate().map(|(i, x)| true_one.of(*x) + noise(i)).collect();
         let cost = |s: &Similarity| -> f64 {
             from.iter().zip(&to).map(|(x, y)| (s.of(*x) - *y).length_squared()).sum()
