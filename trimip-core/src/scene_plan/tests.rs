@@ -283,10 +283,10 @@ fn pixels_that_a_budget_sees_rarely_are_drawn_by_their_errors() {
         let set = [&[steps.as_str(), "train.samples_per_step=256"], set].concat();
         planned(&views, &set).unwrap().0.train.error_map.at(0.5)
     };
-    assert_eq!((of(3 * pixels, &[]), of(5 * pixels, &[])), (0.8, 0.0));
+    assert_eq!((of(5 * pixels, &[]), of(7 * pixels, &[])), (0.8, 0.0));
     // Rays of places keep more samples.
     let place = ["scene.contraction=ball", "plan.encoder=off"];
-    assert_eq!((of(9 * pixels, &place), of(11 * pixels, &place)), (0.8, 0.0));
+    assert_eq!((of(14 * pixels, &place), of(16 * pixels, &place)), (0.8, 0.0));
     assert_eq!(of(3 * pixels, &["train.error_map=0.3"]), 0.3, "what is given stays");
     assert_eq!(of(3 * pixels, &["plan.error_map=off"]), 0.0);
     let mut others = views.clone();

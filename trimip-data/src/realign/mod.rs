@@ -335,17 +335,24 @@ impl Model<'_> {
 
     /// Joins points of different parts that look alike, and returns the joined ones. Points that are joined to another have no track.
     fn join(&mut self, parts: &[usize]) -> Result<Vec<u32>> {
-        let frames: Vec<usize> = (0..parts.len()).collect();
         let seen = self.seen();
-        let patches = map_in_order(&frames, |_, &frame| self.patches(frame, &seen[frame], PATCHES[1]))?;
-        let pairs: Vec<[usize; 2]> = frames
-            .iter()
-            .flat_map(|&frame| self.neighbours(frame, parts).map(move |other| [frame, other]))
+        let moved = (0..parts.len()).filter(|&frame| parts[frame] > 0);
+        let mut pairs: Vec<[usize; 2]> = moved
+            .flat_map(|frame| {
+                self.neighbours(frame, parts).map(move |other| [frame.min(other), frame.max(other)])
+            })
             .collect();
+        pairs.sort_unstable();
+        pairs.dedup();
+        let mut frames: Vec<usize> = pairs.iter().flatten().copied().collect();
+        frames.sort_unstable();
+        frames.dedup();
+        let patches = map_in_order(&frames, |_, &frame| self.patches(frame, &seen[frame], PATCHES[1]))?;
+        let patches: HashMap<usize, Patches> = frames.into_iter().zip(patches).collect();
         let found: Vec<Vec<Match>> = pairs
             .par_iter()
             .map(|&[frame, other]| {
-                let matches = patches[frame].matches(&patches[other]);
+                let matches = patches[&frame].matches(&patches[&other]);
                 self.agreement(&matches, other, AGREED[2]).map(|(_, agreeing)| agreeing).unwrap_or_default()
             })
             .collect();
@@ -378,7 +385,7 @@ impl Model<'_> {
         Ok(joined)
     }
 
-    /// The frames of other parts from which the scene looks most like from `frame`, of which at most half look the other way.
+    /// The frames of other parts from which the scene looks most as it does from `frame`.
     fn neighbours(&self, frame: usize, parts: &[usize]) -> impl Iterator<Item = usize> + use<> {
         let own = &self.cameras[frame];
         let reach = median(self.cameras.iter().map(|camera| (camera.origin - own.origin).length()).collect());
