@@ -26,6 +26,19 @@ impl Covisibility {
         self.shared[a * self.frames + b]
     }
 
+    /// Points that pairs of frames across a division share, over those that pairs of the side with fewer of them share. `side` tells the
+    /// side of each frame.
+    pub(super) fn link(&self, side: &[bool]) -> f64 {
+        let mut sums = [0.0; 3];
+        for a in 0..self.frames {
+            for b in 0..a {
+                let which = if side[a] == side[b] { usize::from(side[a]) } else { 2 };
+                sums[which] += f64::from(self.shared(a, b));
+            }
+        }
+        sums[2] / sums[0].min(sums[1]).max(1.0)
+    }
+
     /// True for the frames on the side of `a` if the frames are divided between `a` and `b` at the weakest link: that of the
     /// maximum spanning tree (Kruskal) on the way from one to the other. A link is as strong as the share of points that the frame
     /// with fewer of them has in common.
@@ -94,6 +107,8 @@ mod tests {
         let expected = [true, true, true, false, false, false, false];
         assert_eq!(covisibility.side(2, 3), expected);
         assert_eq!(covisibility.side(0, 5), expected);
+        // Across it are 2 + 1 + 1 points; of the sides with 9 + 8 and 7 + 9, the second has fewer.
+        assert_eq!(covisibility.link(&expected), 4.0 / 16.0);
         assert_eq!(covisibility.side(4, 1)[..6], expected.map(|side| !side)[..6]);
     }
 }
