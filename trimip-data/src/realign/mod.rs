@@ -197,12 +197,12 @@ impl Model<'_> {
 
     /// The first jump across which the model is wrong, by length, and the smaller of the sides that it divides.
     fn find_jump(&self) -> Result<Option<(Jump, Vec<bool>)>> {
-        let frames = self.cameras.len();
-        let covisibility = Covisibility::of(frames, &self.points);
-        let steps: Vec<f64> =
-            self.cameras.windows(2).map(|pair| (pair[1].origin - pair[0].origin).length()).collect();
+        let covisibility = Covisibility::of(self.cameras.len(), &self.points);
+        let order = self.in_order();
+        let step = |pair: &[usize]| (self.cameras[pair[1]].origin - self.cameras[pair[0]].origin).length();
+        let steps: Vec<f64> = order.windows(2).map(step).collect();
         let usual = median(steps.clone());
-        let shared = |i: usize| f64::from(covisibility.shared(i, i + 1));
+        let shared = |i: usize| f64::from(covisibility.shared(order[i], order[i + 1]));
         let usually_shared = median((0..steps.len()).map(shared).collect());
         let mut jumps: Vec<usize> = (0..steps.len())
             .filter(|&i| steps[i] > JUMP * usual && shared(i) < FEW_SHARED * usually_shared)
@@ -210,15 +210,16 @@ impl Model<'_> {
         jumps.sort_by(|&a, &b| steps[b].total_cmp(&steps[a]).then(a.cmp(&b)));
         let seen = self.seen();
         for before in jumps.into_iter().take(MOST_JUMPS) {
-            let mut side = covisibility.side(before, before + 1);
+            let frames = [order[before], order[before + 1]];
+            let mut side = covisibility.side(frames[0], frames[1]);
             if covisibility.link(&side) > LOOSE {
                 continue;
             }
-            if 2 * side.iter().filter(|own| **own).count() > frames {
+            if 2 * side.iter().filter(|own| **own).count() > side.len() {
                 side.iter_mut().for_each(|own| *own = !*own);
             }
-            let [first, last] = [before, before + 1].map(|frame| self.cameras[frame].origin);
-            let found = self.examine([before, before + 1], &seen)?;
+            let [first, last] = frames.map(|frame| self.cameras[frame].origin);
+            let found = self.examine(&order, before, &seen)?;
             // Alike places that are truly two are seen by frames that are not neighbours.
             if let Some(jump) =
                 found.filter(|jump| (jump.similarity.of(first) - last).length() <= JUMP * usual)
@@ -229,8 +230,17 @@ impl Model<'_> {
         Ok(None)
     }
 
-    /// The similarity on which the photographs on both sides of a jump agree, if it is not that of the model.
-    fn examine(&self, frames: [usize; 2], seen: &[Vec<u32>]) -> Result<Option<Jump>> {
+    /// The frames in the order in which they were taken: that of their names, with numbers by their value.
+    fn in_order(&self) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..self.names.len()).collect();
+        order.sort_by_cached_key(|&frame| parts_of_name(self.names[frame]));
+        order
+    }
+
+    /// The similarity on which the photographs on both sides of a jump agree, if it is not that of the model. The jump is after number
+    /// `before` of the frames in `order`.
+    fn examine(&self, order: &[usize], before: usize, seen: &[Vec<u32>]) -> Result<Option<Jump>> {
+        let frames = [order[before], order[before + 1]];
         let [first, last] = frames;
         let patches = |frame: usize| self.patches(frame, &seen[frame], PATCHES[0]);
         let [one, other] = [patches(first)?, patches(last)?];
@@ -244,8 +254,8 @@ impl Model<'_> {
         }
         // Another pair of frames must agree on the same similarity.
         let pairs = [
-            (first.checked_sub(1), Some(last)),
-            (Some(first), Some(last + 1).filter(|&next| next < self.cameras.len())),
+            (before.checked_sub(1).map(|earlier| order[earlier]), Some(last)),
+            (Some(first), order.get(before + 2).copied()),
         ];
         for (a, b) in pairs {
             let (Some(a), Some(b)) = (a, b) else { continue };
@@ -475,6 +485,20 @@ impl Model<'_> {
     }
 }
 
+/// The parts of a name between its numbers, each with the number behind it.
+fn parts_of_name(name: &str) -> Vec<(&str, u64)> {
+    let mut parts = Vec::new();
+    let mut rest = name;
+    while !rest.is_empty() {
+        let (text, after) = rest.split_at(rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len()));
+        let (number, after) =
+            after.split_at(after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len()));
+        parts.push((text, number.parse().unwrap_or(0)));
+        rest = after;
+    }
+    parts
+}
+
 /// True if matches that agree are at least as many, and as large a share of all, as `least` says.
 fn enough(agreed: usize, all: usize, (least, share): (usize, f64)) -> bool {
     agreed >= least && agreed as f64 >= share * all as f64
@@ -490,4 +514,39 @@ fn errors(point: &Point, cameras: &[Camera]) -> Vec<f64> {
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parts_of_name;
+
+    #[test]
+    fn numbers_in_names_are_compared_by_their_value() {
+        let mut names = [
+            "b/1",
+            "walk10",
+            "walk9b",
+            "walk9",
+            "a/07",
+            "walk9b2",
+            "a/7x",
+            "",
+            "a/123456789012345678901234567890",
+        ];
+        names.sort_by_key(|name| parts_of_name(name));
+        assert_eq!(
+            names,
+            [
+                "",
+                "a/123456789012345678901234567890",
+                "a/07",
+                "a/7x",
+                "b/1",
+                "walk9",
+                "walk9b",
+                "walk9b2",
+                "walk10"
+            ]
+        );
+    }
 }
