@@ -26,8 +26,8 @@ impl Covisibility {
         self.shared[a * self.frames + b]
     }
 
-    /// Points that pairs of frames across a division share, over those that pairs of the side with fewer of them share. `side` tells the
-    /// side of each frame.
+    /// How strongly two sides are linked. The numerator counts shared points over all pairs of frames with one frame on each side. The
+    /// denominator counts them over all pairs within one side, and is the smaller of the two. `side` has an entry for each frame.
     pub(super) fn link(&self, side: &[bool]) -> f64 {
         let mut sums = [0.0; 3];
         for a in 0..self.frames {

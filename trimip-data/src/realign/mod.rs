@@ -95,7 +95,7 @@ pub(crate) struct Aligned {
     pub(crate) points: Vec<Point>,
 }
 
-/// What is known of a model: its frames in the order in which they were taken.
+/// A model from structure from motion, with its photographs.
 pub(crate) struct Model<'a> {
     pub(crate) names: Vec<&'a str>,
     pub(crate) cameras: Vec<Camera>,
@@ -125,7 +125,6 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
     if !tracked || !(FRAMES[0]..=FRAMES[1]).contains(&frames) {
         return Ok(None);
     }
-    let usual = median(model.errors());
     let mut parts = vec![0_usize; frames];
     let mut told = Vec::new();
     while told.len() < MOST_PARTS {
@@ -164,7 +163,14 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
             format!("{told}. Models of more than {MOST_ADJUSTED} photographs are not aligned: {advice}");
         return Ok(Some(Torn { aligned: None, warning }));
     }
+    // A similarity of all that a camera sees changes no reprojection error: these are the model's own.
+    let usual = median(model.errors());
     let joined = model.join(&parts)?;
+    if joined.len() < AGREED[0].0 {
+        let warning =
+            format!("{told}. Only {} of both parts look alike: {advice}", count(joined.len(), "point"));
+        return Ok(Some(Torn { aligned: None, warning }));
+    }
     let [all, of_joined] = model.adjust(&joined, usual);
     if all > ADJUSTED[0] * usual || of_joined > ADJUSTED[1] * usual {
         let warning = format!(
@@ -230,7 +236,7 @@ impl Model<'_> {
         Ok(None)
     }
 
-    /// The frames in the order in which they were taken: that of their names, with numbers by their value.
+    /// The frames sorted by name, with numbers compared by value. Cameras and phones number photographs as they take them.
     fn in_order(&self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.names.len()).collect();
         order.sort_by_cached_key(|&frame| parts_of_name(self.names[frame]));
