@@ -374,3 +374,8 @@ fn refined_poses_have_no_common_motion() {
 fn derivatives_by_poses_are_slopes_of_the_loss() {
     on_every_cpu(|make| suite::poses::whole_step(make));
 }
+
+#[test]
+fn derivatives_by_intrinsics_are_slopes_of_the_loss() {
+    with_threads(&[2], |make| suite::poses::by_intrinsics(make));
+}

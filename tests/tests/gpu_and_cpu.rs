@@ -85,6 +85,41 @@ fn gains_of_photographs_cost_no_wait_and_are_the_same_on_both_backends() {
     });
 }
 
+/// Derivatives by the poses and the intrinsics of cameras, of a batch that both backends draw alike.
+#[test]
+fn derivatives_by_cameras_are_the_same_on_both_backends() {
+    reproducibly(|make| {
+        let config = suite::poses::refined();
+        let mut on_gpu = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
+        let mut on_cpu = Trainer::new(cpu(), &config, fixtures::noise(3, 16, 2, 2))?;
+        let parameters = fixtures::lively(&Layout::new(&config), 13);
+        for change in [[0.0; 4], [0.05, 0.02, -0.01, 0.0]] {
+            on_gpu.set_parameters(&parameters);
+            on_cpu.set_parameters(&parameters);
+            on_gpu.set_intrinsics(change);
+            on_cpu.set_intrinsics(change);
+            let [found, expected] =
+                [on_gpu.loss_and_pose_gradient(0, 150)?.1, on_cpu.loss_and_pose_gradient(0, 150)?.1];
+            alike(found.as_flattened(), expected.as_flattened());
+            let [found, expected] = [
+                on_gpu.loss_and_intrinsics_gradient(0, 150)?.1,
+                on_cpu.loss_and_intrinsics_gradient(0, 150)?.1,
+            ];
+            alike(found.as_flattened(), expected.as_flattened());
+        }
+        Ok(())
+    });
+}
+
+/// Expects numbers that differ by a hundredth of the largest.
+fn alike(found: &[f64], expected: &[f64]) {
+    let largest = expected.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+    assert!(largest > 0.0 && found.len() == expected.len(), "{expected:?}");
+    for (found, expected) in found.iter().zip(expected) {
+        assert!((found - expected).abs() < 0.01 * largest, "{found}, not {expected} of {largest}");
+    }
+}
+
 /// Root-mean-square difference of two pictures.
 fn difference(a: &trimip_core::Frame, b: &trimip_core::Frame) -> f64 {
     let squares = a.pixels.iter().zip(&b.pixels).flat_map(|(a, b)| [0, 1, 2].map(|c| a.rgb[c] - b.rgb[c]));

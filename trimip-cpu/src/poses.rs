@@ -3,7 +3,7 @@
 use crate::CpuBackend;
 use crate::buffer::Buffer;
 use trimip_core::engine::backend::PoseGradients;
-use trimip_core::engine::batch::{Displaced, Ray, Rays, StepResult, Tile};
+use trimip_core::engine::batch::{CameraSums, Displaced, Ray, Rays, StepResult, Tile};
 use trimip_core::engine::policy::{PosePolicy, direction, moved};
 use trimip_core::field::encoders;
 use trimip_core::math::rng::Draws;
@@ -73,7 +73,7 @@ impl PoseGradients<CpuBackend> for CpuPoses {
     fn add(&self, tile: &mut Tile<'_, CpuBackend>, step: u64, slopes: &Buffer<f32>, sums: &mut StepResult) {
         let Tile { rays, samples, .. } = tile;
         let draws = self.policy.draws(step);
-        sums.poses.resize(self.policy.photographs, [0.0; 6]);
+        sums.cameras.resize(self.policy.photographs, CameraSums::default());
         for (group, photograph) in rays.groups.iter().zip(rays.photographs.iter()) {
             for i in group.range().filter(|&i| samples.segments[i].count > 0) {
                 let range = samples.segments[i].range();
@@ -84,18 +84,22 @@ impl PoseGradients<CpuBackend> for CpuPoses {
                     force += slope;
                     lever += interval.t * slope;
                 }
-                add_to(&mut sums.poses[*photograph as usize], ray, across(&draws, rays, i), force, lever);
+                add_to(&mut sums.cameras[*photograph as usize], ray, across(&draws, rays, i), force, lever);
             }
         }
     }
 }
 
 /// Adds a force along `by` at the ray's origin, and one in the distance 1 along it.
-fn add_to(sums: &mut [f64; 6], ray: &Ray, by: [f32; 3], force: f32, lever: f32) {
+fn add_to(sums: &mut CameraSums, ray: &Ray, by: [f32; 3], force: f32, lever: f32) {
     let at: [f32; 3] = std::array::from_fn(|axis| force * ray.origin[axis] + lever * ray.direction[axis]);
+    let turned = ray.cosine * lever;
+    let tangent_squared = (ray.cosine * ray.cosine).recip() - 1.0;
     for axis in 0..3 {
         let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
         sums[axis] += f64::from(force * by[axis]);
         sums[3 + axis] += f64::from(at[next] * by[last] - at[last] * by[next]);
+        sums[6 + axis] += f64::from(turned * by[axis]);
+        sums[9 + axis] += f64::from(tangent_squared * turned * by[axis]);
     }
 }

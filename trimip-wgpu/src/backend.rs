@@ -70,7 +70,7 @@ impl WgpuBackend {
 pub struct StepReceipt {
     sums: Receipt<u32>,
     exposures: Option<Receipt<u32>>,
-    poses: Option<Receipt<u32>>,
+    cameras: Option<Receipt<u32>>,
     watched: Option<[Receipt<u32>; 2]>,
     rays: u32,
 }
@@ -281,8 +281,8 @@ impl Backend for WgpuBackend {
             exposures: sums.exposures.as_ref().map(|(buffer, photographs)| {
                 self.gpu.send(buffer, (4 * GAIN_WORDS * photographs) as u64, SUM_WORDS * photographs)
             }),
-            poses: sums
-                .poses
+            cameras: sums
+                .cameras
                 .as_ref()
                 .map(|(buffer, photographs)| self.gpu.send(buffer, 0, poses::SUM_WORDS * photographs)),
             watched: watched.as_ref().map(|[grid, field]| {
@@ -297,12 +297,12 @@ impl Backend for WgpuBackend {
     }
 
     fn redeem(&self, receipt: Option<StepReceipt>) -> Result<StepResult> {
-        let Some(StepReceipt { sums, exposures, poses, watched, rays }) = receipt else {
+        let Some(StepReceipt { sums, exposures, cameras, watched, rays }) = receipt else {
             return Ok(StepResult::default());
         };
         let words = self.gpu.redeem(sums);
-        let [exposures, poses] =
-            [exposures, poses].map(|sums| sums.map(|sums| self.gpu.redeem(sums)).unwrap_or_default());
+        let [exposures, cameras] =
+            [exposures, cameras].map(|sums| sums.map(|sums| self.gpu.redeem(sums)).unwrap_or_default());
         if let Some([occupied, overflows]) = watched {
             self.counters.occupied.store(self.gpu.redeem(occupied)[0].into(), Ordering::Relaxed);
             self.counters.overflows.store(self.gpu.redeem(overflows)[0].into(), Ordering::Relaxed);
@@ -319,7 +319,7 @@ impl Backend for WgpuBackend {
             drawn: words[8].into(),
             non_finite: float(3) as u64,
         };
-        Ok(StepResult { sums, exposures: sums_of(&exposures), poses: sums_of(&poses) })
+        Ok(StepResult { sums, exposures: sums_of(&exposures), cameras: sums_of(&cameras) })
     }
 
     fn health(&self) -> Result<()> {

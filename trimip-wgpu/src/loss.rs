@@ -32,7 +32,7 @@ pub struct DeviceSums {
     /// Gains of photographs with the derivatives by their logarithms, and the number of photographs.
     pub exposures: Option<(wgpu::Buffer, usize)>,
     /// Derivatives by motions of the photographs' cameras, and the number of photographs.
-    pub poses: Option<(wgpu::Buffer, usize)>,
+    pub cameras: Option<(wgpu::Buffer, usize)>,
 }
 
 /// The sums of the photographs' derivatives, `N` of each: 64-bit fixed point, low words first.
@@ -130,7 +130,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
         let binds = [stream.sums.bind(), self.sums.bind(), samples.counts.bind()];
         self.gpu.dispatch(&self.kernels.add_up, &binds, &params, Size::Groups(1));
         let exposures = (photographs > 0).then(|| (self.exposures.raw().clone(), photographs));
-        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures, poses: None });
+        sums.0 = Some(DeviceSums { buffer: self.sums.raw().clone(), rays: count, exposures, cameras: None });
     }
 
     fn evaluate_rays(

@@ -10,12 +10,12 @@ use crate::space::{GpuSpace, SPACE};
 use crate::workspace::WgpuBackend;
 use std::sync::Arc;
 use trimip_core::engine::backend::PoseGradients;
-use trimip_core::engine::batch::{Displaced, Rays, Tile};
+use trimip_core::engine::batch::{CameraSums, Displaced, Rays, Tile};
 use trimip_core::engine::policy::PosePolicy;
 use trimip_core::{Config, ViewSet, field::encoders};
 
-/// Words of a photograph's six sums in fixed point.
-pub const SUM_WORDS: usize = words(size_of::<[u64; 6]>()) as usize;
+/// Words of a photograph's twelve sums in fixed point.
+pub const SUM_WORDS: usize = words(size_of::<CameraSums>()) as usize;
 
 shared! {
     /// Parameters of all kernels.
@@ -157,7 +157,7 @@ impl PoseGradients<WgpuBackend> for WgpuPoses {
         ];
         self.gpu.dispatch(&self.kernels.add, &binds, &params, Size::Items(count.into()));
         if let Some(sums) = &mut sums.0 {
-            sums.poses = Some((self.sums.raw().clone(), self.policy.photographs));
+            sums.cameras = Some((self.sums.raw().clone(), self.policy.photographs));
         }
     }
 }

@@ -7,7 +7,7 @@ use glam::{DQuat, DVec3};
 use trimip_core::{
     Backend, Camera, Config, Intrinsics, Layout, Result, Session, ViewSet, Viewer,
     config::{CameraPoses, Contraction},
-    engine::{pose_preconditioner::Motion, trainer::Trainer},
+    engine::{preconditioner::Motion, trainer::Trainer},
 };
 
 /// Number of photographs.
@@ -95,23 +95,29 @@ fn rendered<B: Backend>(backend: B, config: &Config, parameters: &[f32]) -> Resu
     }))
 }
 
+/// A trainer on what its own model shows, in which the derivatives by cameras are whole.
+fn on_its_own_pictures<B: Backend>(make: impl Fn() -> B) -> Result<Trainer<B>> {
+    let mut config = refined();
+    // What the derivatives leave out does not change: colours with the direction, features with the radius, and the ends of rays, which are
+    // opaque long before. Steps are short.
+    config.scene.contraction = Contraction::Ball;
+    config.field.density_shift = -2.0;
+    (config.field.directions, config.encoder.mipmap) = (false, false);
+    config.renderer.steps_per_diagonal = 256;
+    let parameters: Vec<f32> = lively(&Layout::new(&config), 13).iter().map(|value| 0.7 * value).collect();
+    let mut trainer = Trainer::new(make(), &config, rendered(make(), &config, &parameters)?)?;
+    trainer.set_parameters(&parameters);
+    trainer.occupy_all();
+    Ok(trainer)
+}
+
 /// The derivatives of a step by the motions of its cameras are the slopes of its loss: by rotations of cameras that are off
 /// from where the photographs were taken, by about two pixels.
 ///
 /// # Errors
 /// When a step fails.
 pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let mut config = refined();
-    // What the derivatives leave out does not change: colours with the direction, and the ends of rays, which are opaque long before. Steps
-    // are short.
-    config.scene.contraction = Contraction::Ball;
-    config.field.density_shift = -2.0;
-    config.field.directions = false;
-    config.renderer.steps_per_diagonal = 256;
-    let parameters: Vec<f32> = lively(&Layout::new(&config), 13).iter().map(|value| 0.7 * value).collect();
-    let mut trainer = Trainer::new(make(), &config, rendered(make(), &config, &parameters)?)?;
-    trainer.set_parameters(&parameters);
-    trainer.occupy_all();
+    let mut trainer = on_its_own_pictures(make)?;
     let turns = [[0.02, -0.015, 0.01], [-0.02, 0.01, 0.02], [0.01, 0.02, -0.015]];
     let off: [Motion; PHOTOGRAPHS] = turns.map(|[a, b, c]| [a, b, c, 0.0, 0.0, 0.0]);
     let mut at = |factor: f64| -> Result<(f64, f64)> {
@@ -128,5 +134,32 @@ pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let (expected, found) = ((at(1.2)?.0 - at(0.8)?.0) / 0.4, at(1.0)?.1);
     assert!(expected > 5e-6, "the loss grows by {expected}");
     assert!((found / expected - 1.0).abs() < TOLERANCE, "{found}, not {expected}");
+    Ok(())
+}
+
+/// The same by changes of the focal length and of the principal point of the one camera that took all photographs.
+///
+/// # Errors
+/// When a step fails.
+pub fn by_intrinsics<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut trainer = on_its_own_pictures(make)?;
+    // Focal lengths move the rims of pictures alone: fewer rays tell their derivatives. All of these turn outwards, to where samples
+    // are placed otherwise, which is left out: a constant part of a derivative that a change this large outweighs.
+    let steps = 3 * STEPS;
+    for off in [[0.2, 0.0, 0.0, 0.0], [0.0, 0.02, -0.015, 0.0]] {
+        let mut at = |factor: f64| -> Result<(f64, f64)> {
+            trainer.set_intrinsics(off.map(|part: f64| factor * part));
+            let (mut loss, mut slope) = (0.0, 0.0);
+            for step in 0..steps {
+                let (sums, gradient) = trainer.loss_and_intrinsics_gradient(step, RAYS)?;
+                loss += sums.loss / sums.weight / steps as f64;
+                slope += gradient[0].iter().zip(off).map(|(by, part)| by * part).sum::<f64>() / steps as f64;
+            }
+            Ok((loss, slope))
+        };
+        let (expected, found) = ((at(1.2)?.0 - at(0.8)?.0) / 0.4, at(1.0)?.1);
+        assert!(expected > 2e-6, "the loss grows by {expected}");
+        assert!((found / expected - 1.0).abs() < TOLERANCE, "{off:?}: {found}, not {expected}");
+    }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! The batches that flow from stage to stage, each in its device's buffers. Samples are packed: the samples of a ray
 //! are consecutive, front to back, and a [`Segment`] holds their range.
 
-pub use crate::engine::step_result::{MOST_PENDING, StepResult, StepSums};
+pub use crate::engine::step_result::{CameraSums, MOST_PENDING, StepResult, StepSums};
 pub use crate::geometry::elements::{Interval, Radiance, Ray, Segment, Sphere, Target};
 
 use crate::{

@@ -1,15 +1,16 @@
 //! Poses of photographs, for `train.cameras = "refine"`: training also moves each photograph's camera, by a rotation and a
-//! translation in its own axes. They are trained beside the parameters, preconditioned ([`Preconditioner`]), and are no part of a
-//! model. Their mean over all cameras, in the axes of the world, stays zero, and so does the growth of the cameras' distances to their
+//! translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). They are trained beside the
+//! parameters, preconditioned ([`Preconditioner`]), and are no part of a model. Their mean over all cameras, in the axes of the world, stays zero, and so does the growth of the cameras' distances to their
 //! middle: the scene stays where it is, of the size that it has.
 
 use crate::{
-    Camera, Config, Result, Space, ViewSet,
+    Camera, Config, Intrinsics, Result, Space, ViewSet,
     config::{CameraPoses, OptimizerConfig},
     engine::{
         exposure::photographs,
+        intrinsics::{Change, ChangedIntrinsics, SharedIntrinsics, changed},
         lagged::Lagged,
-        pose_preconditioner::{Motion, Preconditioner},
+        preconditioner::{Motion, Preconditioner},
         step_result::StepResult,
     },
     field::tensors::TensorFile,
@@ -31,7 +32,7 @@ struct Given {
     name: String,
     /// The camera of its finest view.
     camera: Camera,
-    preconditioner: Preconditioner,
+    preconditioner: Preconditioner<6>,
 }
 
 impl Given {
@@ -56,6 +57,7 @@ pub struct Poses {
     /// Camera as given, around the centre of the box, and photograph of each view.
     views: Vec<(Camera, usize)>,
     corrections: Lagged<6>,
+    intrinsics: SharedIntrinsics,
     /// Whether the mean motion may be other than zero.
     free: bool,
 }
@@ -65,6 +67,8 @@ pub struct Poses {
 pub struct Refined {
     /// Name of each training photograph, and the camera of its finest view, in the world.
     pub cameras: Vec<(String, Camera)>,
+    /// Given intrinsics of each camera at its finest scale, and what training has changed of them.
+    pub intrinsics: Vec<(Intrinsics, Change)>,
     /// How far they are from the given ones.
     pub moved: Moved,
 }
@@ -80,17 +84,24 @@ pub struct Moved {
     pub distance: f64,
     /// Motion of the picture, as a fraction of its longer side.
     pub picture: f64,
+    /// Intrinsics of the cameras.
+    #[serde(default)]
+    pub intrinsics: ChangedIntrinsics,
 }
 
 impl std::fmt::Display for Moved {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "poses of {} refined: medians {:.3}° and {:.3e} world units, {:.2} % of a picture",
+            "poses of {} refined: medians {:.3}° and {:.3e} world units, {:.2} % of a picture; focal length {:+.2} %, principal point by \
+             {:.2} % of a picture, k1 {:+.4}",
             count(self.photographs, "photograph"),
             self.degrees,
             self.distance,
-            100.0 * self.picture
+            100.0 * self.picture,
+            100.0 * self.intrinsics.focal,
+            100.0 * self.intrinsics.principal,
+            self.intrinsics.k1
         )
     }
 }
@@ -131,15 +142,17 @@ impl Poses {
             given[photograph].get_or_insert_with(|| Given {
                 name: view.name.clone(),
                 camera,
-                preconditioner: Preconditioner::new(&camera, &space),
+                preconditioner: Preconditioner::of_pose(&camera, &space),
             });
             all.push((camera, photograph));
         }
         let given: Vec<Given> = given.into_iter().flatten().collect();
-        Some(Self { corrections: Lagged::new(given.len()), given, views: all, free: false })
+        let intrinsics =
+            SharedIntrinsics::new(given.iter().map(|given| (given.camera.intrinsics, given.camera.rotation)));
+        Some(Self { corrections: Lagged::new(given.len()), given, views: all, intrinsics, free: false })
     }
 
-    /// Leaves each camera free to move by itself: the scene stays where it is without them.
+    /// Leaves each camera free to move by itself, with its intrinsics as given: the scene stays where it is without them.
     pub(crate) fn set_free(&mut self) {
         self.free = true;
     }
@@ -155,16 +168,25 @@ impl Poses {
     /// The cameras of all views as they are now, around the centre of the box.
     pub fn cameras(&self) -> Vec<Camera> {
         let motions: Vec<Motion> = (0..self.given.len()).map(|i| self.motion(i)).collect();
-        self.views.iter().map(|(camera, photograph)| moved(camera, &motions[*photograph])).collect()
+        let changes = self.intrinsics.changes();
+        let camera = |(camera, photograph): &(Camera, usize)| {
+            moved(camera, &motions[*photograph], &changes[*photograph])
+        };
+        self.views.iter().map(camera).collect()
     }
 
     /// The poses that training has found so far; `centre` is that of the box.
     pub fn refined(&self, centre: DVec3) -> Refined {
+        let changes = self.intrinsics.changes();
         let camera = |(i, given): (usize, &Given)| {
-            let camera = moved(&given.camera, &self.motion(i));
+            let camera = moved(&given.camera, &self.motion(i), &changes[i]);
             (given.name.clone(), Camera { origin: camera.origin + centre, ..camera })
         };
-        Refined { cameras: self.given.iter().enumerate().map(camera).collect(), moved: self.moved() }
+        Refined {
+            cameras: self.given.iter().enumerate().map(camera).collect(),
+            intrinsics: self.intrinsics.refined(),
+            moved: self.moved(),
+        }
     }
 
     /// Replaces the motions of all photographs' cameras.
@@ -172,6 +194,11 @@ impl Poses {
         for ((value, given), motion) in self.corrections.values.iter_mut().zip(&self.given).zip(motions) {
             *value = given.preconditioner.parameters(*motion).map(|value| value as f32);
         }
+    }
+
+    /// Replaces the change of every camera's intrinsics.
+    pub fn set_intrinsics(&mut self, change: Change) {
+        self.intrinsics.set(change);
     }
 
     /// How far the cameras are from the given ones.
@@ -187,6 +214,7 @@ impl Poses {
             degrees: median(&|i| length(&self.motion(i)[..3]).to_degrees()),
             distance: median(&|i| length(&self.motion(i)[3..])),
             picture: median(&|i| length(&self.corrections.values[i].map(f64::from))),
+            intrinsics: self.intrinsics.moved(),
         }
     }
 
@@ -196,23 +224,31 @@ impl Poses {
         by_world.map(|(i, by)| self.given[i].by_motion(&self.motion(i), by)).collect()
     }
 
-    /// The same by a translation in the world's axes and a rotation around the world's origin.
+    /// The gradient of a step's mean loss by the changes of each camera's intrinsics.
+    pub fn by_intrinsics(&self, step: &StepResult) -> Vec<Change> {
+        self.intrinsics.by_changes(step)
+    }
+
+    /// The gradient of a step's mean loss by a translation of each camera in the world's axes and a rotation around the world's origin.
     fn by_world(&self, step: &StepResult) -> Vec<[f64; 6]> {
         let weight = step.sums.weight;
-        let sum = |i: usize| step.poses.get(i).filter(|_| weight > 0.0).copied().unwrap_or_default();
-        let mean = |i: usize| sum(i).map(|sum| sum / weight.max(f64::MIN_POSITIVE));
+        let mean = |i: usize| match step.cameras.get(i) {
+            Some([first @ .., _, _, _, _, _, _]) if weight > 0.0 => first.map(|sum| sum / weight),
+            _ => [0.0; 6],
+        };
         (0..self.given.len()).map(mean).collect()
     }
 
     /// The present motion of camera `i`.
     fn motion(&self, i: usize) -> Motion {
-        self.given[i].preconditioner.motion(self.corrections.values[i].map(f64::from))
+        self.given[i].preconditioner.change(self.corrections.values[i].map(f64::from))
     }
 
     /// Takes the result of the next step.
     pub(crate) fn take(&mut self, step: &StepResult) {
         let by_world = self.by_world(step).into_iter();
         self.corrections.take(by_world.map(|by| by.map(|by| by as f32)).collect());
+        self.intrinsics.take(step);
     }
 
     /// Applies the gradients that are due ([`Lagged::due`]). Returns whether any camera may have moved.
@@ -239,17 +275,25 @@ impl Poses {
             values.iter_mut().for_each(shorten);
             moved = true;
         }
+        if !self.free {
+            self.intrinsics.advance(config, rate, steps, in_transit);
+        }
         moved
     }
 
-    /// Adds everything that training needs to go on: tensors of shape [photographs, 6].
+    /// Adds everything that training needs to go on: tensors of shape [photographs, 6], and those of intrinsics.
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
         self.corrections.to_tensors(PREFIX, file);
+        self.intrinsics.to_tensors(file);
     }
 
     /// The state in a checkpoint of a run on as many photographs; `name` is its place.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
-        Ok(Self { corrections: self.corrections.restored(PREFIX, file, name)?, ..self.clone() })
+        Ok(Self {
+            corrections: self.corrections.restored(PREFIX, file, name)?,
+            intrinsics: self.intrinsics.restored(file, name)?,
+            ..self.clone()
+        })
     }
 }
 
@@ -258,7 +302,7 @@ impl Poses {
 fn centre(given: &[Given], values: &mut [[f32; 6]]) {
     let count = given.len().max(1) as f64;
     let world = |(given, value): (&Given, &[f32; 6])| {
-        let motion = given.preconditioner.motion(value.map(f64::from));
+        let motion = given.preconditioner.change(value.map(f64::from));
         [&motion[..3], &motion[3..]].map(|part| given.camera.rotation * DVec3::from_slice(part))
     };
     let motions: Vec<[DVec3; 2]> = given.iter().zip(&*values).map(world).collect();
@@ -276,20 +320,20 @@ fn centre(given: &[Given], values: &mut [[f32; 6]]) {
     }
 }
 
-/// Shortens a motion that is too large.
-fn shorten(value: &mut [f32; 6]) {
+/// Shortens parameters whose motion of the picture is too large.
+pub(crate) fn shorten<const N: usize>(value: &mut [f32; N]) {
     let length = value.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt();
     if length > MOST {
         *value = value.map(|value| (MOST / length * f64::from(value)) as f32);
     }
 }
 
-/// A camera after a motion in its own axes.
-fn moved(camera: &Camera, motion: &Motion) -> Camera {
+/// A camera after a motion in its own axes and a change of its intrinsics.
+fn moved(camera: &Camera, motion: &Motion, change: &Change) -> Camera {
     Camera {
+        intrinsics: changed(&camera.intrinsics, change),
         rotation: camera.rotation * turn(motion),
         origin: camera.origin + camera.rotation * DVec3::from_slice(&motion[3..]),
-        ..*camera
     }
 }
 
@@ -349,7 +393,8 @@ mod tests {
     fn motions_are_in_the_axes_of_their_cameras() {
         let mut poses = Poses::new(&configuration(), &views()).unwrap();
         let (_, centre) = configuration().centred();
-        assert_eq!(poses.refined(centre).moved, Moved { photographs: 3, ..Moved::default() });
+        let intrinsics = ChangedIntrinsics { cameras: 1, ..ChangedIntrinsics::default() };
+        assert_eq!(poses.refined(centre).moved, Moved { photographs: 3, intrinsics, ..Moved::default() });
         poses.set(&MOTIONS);
         for ((name, camera), (view, motion)) in
             poses.refined(centre).cameras.iter().zip(views().views.iter().zip(MOTIONS))
@@ -377,11 +422,15 @@ mod tests {
         };
         let pulled = |camera: &Camera| {
             let torque = (camera.origin + camera.rotation * local).cross(pull);
-            [pull.x, pull.y, pull.z, torque.x, torque.y, torque.z].map(|value| 4.0 * value)
+            let [p, t] = [4.0 * pull, 4.0 * torque];
+            [p.x, p.y, p.z, t.x, t.y, t.z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         };
         let sums = StepSums { weight: 4.0, ..StepSums::default() };
-        let step =
-            StepResult { sums, poses: poses.cameras().iter().map(pulled).collect(), ..StepResult::default() };
+        let step = StepResult {
+            sums,
+            cameras: poses.cameras().iter().map(pulled).collect(),
+            ..StepResult::default()
+        };
         let found = poses.by_motions(&step);
         let h = 1e-3;
         for (i, found) in found.iter().enumerate() {
@@ -406,8 +455,9 @@ mod tests {
         config.optimizer.camera_rate = 1e-3;
         let mut poses = Poses::new(&config, &views()).unwrap();
         let sums = StepSums { weight: 1.0, ..StepSums::default() };
-        let pulls = vec![[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, -2.0, 0.0, 0.0, 0.0, 1.0], [0.0; 6]];
-        let step = StepResult { sums, poses: pulls, ..StepResult::default() };
+        let mut pulls = vec![[0.0; 12]; 3];
+        (pulls[0][0], pulls[1][1], pulls[1][5]) = (1.0, -2.0, 1.0);
+        let step = StepResult { sums, cameras: pulls, ..StepResult::default() };
         for i in 0..4 {
             poses.take(&step);
             poses.advance(&config.optimizer, 1e-3, i + 1, 0);

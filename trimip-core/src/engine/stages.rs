@@ -471,7 +471,7 @@ pub trait PoseGradients<B: Backend>: Send + Sync {
         displaced: &mut Displaced<B>,
     );
 
-    /// Adds the derivatives by the motions of the photographs' cameras
-    /// ([`StepResult::poses`](crate::engine::batch::StepResult::poses)) to the sums.
+    /// Adds the derivatives by the photographs' cameras
+    /// ([`StepResult::cameras`](crate::engine::batch::StepResult::cameras)) to the sums.
     fn add(&self, tile: &mut Tile<'_, B>, step: u64, slopes: &B::Buffer<f32>, sums: &mut B::Sums);
 }

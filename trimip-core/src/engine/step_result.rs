@@ -1,4 +1,4 @@
-//! The results of a training step on the host: losses, counts, and the derivatives by exposures and poses.
+//! The results of a training step on the host: losses, counts, and the derivatives by exposures and cameras.
 
 use crate::{Result, engine::ranks::fault};
 use serde::{Deserialize, Serialize};
@@ -43,6 +43,12 @@ impl StepSums {
 /// Largest number of steps whose sums are not read back yet.
 pub const MOST_PENDING: usize = 2;
 
+/// Derivatives of [`StepSums::loss`] by the camera of a photograph, four vectors along the axes of the world. Let g be the
+/// derivative by a motion of a ray's direction across it, c the cosine of its angle to the optical axis, and τ the tangent:
+/// the derivatives by a translation of the camera, by rotations around the axes (the origin fixed), Σ c·g, and Σ τ²·c·g.
+/// The last two tell the derivatives by intrinsics ([`intrinsics`](crate::engine::intrinsics)).
+pub type CameraSums = [f64; 12];
+
 /// The results of a training step on the host.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepResult {
@@ -50,9 +56,8 @@ pub struct StepResult {
     pub sums: StepSums,
     /// Derivative of [`StepSums::loss`] by the log-gains (RGB) of each photograph; empty without `loss.exposure`.
     pub exposures: Vec<[f64; 3]>,
-    /// Derivative of [`StepSums::loss`] by motions of each photograph's camera: by its translation along the axes of the world,
-    /// then by rotations around them, the origin fixed. Empty unless poses are refined.
-    pub poses: Vec<[f64; 6]>,
+    /// Derivatives of [`StepSums::loss`] by the camera of each photograph. Empty unless cameras are refined.
+    pub cameras: Vec<CameraSums>,
 }
 
 impl StepResult {
@@ -61,7 +66,7 @@ impl StepResult {
         let StepSums { loss, weight, squared_error, rays, marched, kept, drawn, non_finite } = self.sums;
         let sums = [loss, weight, squared_error].map(f64::to_bits).into_iter();
         let counts = [rays, marched, kept, drawn, non_finite];
-        let by_photographs = self.exposures.as_flattened().iter().chain(self.poses.as_flattened());
+        let by_photographs = self.exposures.as_flattened().iter().chain(self.cameras.as_flattened());
         let by_photographs = by_photographs.map(|value| value.to_bits());
         sums.chain(counts).chain([self.exposures.len() as u64]).chain(by_photographs).collect()
     }
@@ -69,24 +74,24 @@ impl StepResult {
     /// The result of these [`to_words`](Self::to_words).
     ///
     /// # Errors
-    /// When their number is not 9, three for each exposure and six for each pose.
+    /// When their number is not 9, three for each exposure and twelve for each camera.
     pub fn of_words(words: &[u64]) -> Result<Self> {
         let of = |words: &[u64]| -> Option<Self> {
             let (&[loss, weight, squared_error, rays, marched, kept, drawn, non_finite, exposures], rest) =
                 words.split_first_chunk()?;
             let exposures = usize::try_from(exposures).ok()?.checked_mul(3)?;
-            let (exposures, poses) = rest.split_at_checked(exposures)?;
+            let (exposures, cameras) = rest.split_at_checked(exposures)?;
             let [loss, weight, squared_error] = [loss, weight, squared_error].map(f64::from_bits);
             Some(Self {
                 sums: StepSums { loss, weight, squared_error, rays, marched, kept, drawn, non_finite },
                 exposures: rows(exposures)?,
-                poses: rows(poses)?,
+                cameras: rows(cameras)?,
             })
         };
         of(words).ok_or_else(|| {
             let found = words.len();
             fault(format_args!(
-                "expected 8 sums, a count, 3 numbers for each exposure and 6 for each pose, found {found} words"
+                "expected 8 sums, a count, 3 numbers for each exposure and 12 for each camera, found {found} words"
             ))
         })
     }
@@ -95,7 +100,7 @@ impl StepResult {
     pub fn add(&mut self, other: &Self) {
         self.sums.add(&other.sums);
         add_rows(&mut self.exposures, &other.exposures);
-        add_rows(&mut self.poses, &other.poses);
+        add_rows(&mut self.cameras, &other.cameras);
     }
 }
 
@@ -128,16 +133,16 @@ mod tests {
             drawn: 6,
             non_finite: 1,
         };
-        let (exposures, poses) = (vec![[0.25, -1.0, 2.0], [1e300, 0.0, -0.0]], vec![[0.5; 6]; 2]);
-        let words = StepResult { sums, exposures, poses }.to_words();
+        let (exposures, cameras) = (vec![[0.25, -1.0, 2.0], [1e300, 0.0, -0.0]], vec![[0.5; 12]; 2]);
+        let words = StepResult { sums, exposures, cameras }.to_words();
         for count in 0..=words.len() {
             match StepResult::of_words(&words[..count]) {
                 Ok(result) => {
-                    assert!(count >= 15 && (count - 15) % 6 == 0, "{count}");
+                    assert!(count >= 15 && (count - 15) % 12 == 0, "{count}");
                     assert_eq!(result.to_words(), words[..count]);
                 }
                 Err(error) => {
-                    assert!(count < 15 || (count - 15) % 6 != 0, "{count}");
+                    assert!(count < 15 || (count - 15) % 12 != 0, "{count}");
                     assert_eq!(error.kind, ErrorKind::Device);
                     assert!(error.message.contains(&format!("found {count}")), "{error}");
                 }

@@ -85,6 +85,15 @@ impl Lens {
         if self.model.definition().distorted { Self::default() } else { Self::of(self.model) }
     }
 
+    /// The lens with `by` added to k₁.
+    pub(crate) fn with_more_k1(mut self, by: f64) -> Self {
+        if by == 0.0 {
+            return self;
+        }
+        self.radial[0] += by;
+        self.with_domain()
+    }
+
     /// True if the lens bends nothing: a pinhole.
     pub fn is_straight(&self) -> bool {
         self.model == Model::Perspective

@@ -1,11 +1,14 @@
 //! Test views of a run that refines poses: each is aligned with the finished model on the left half of its picture and measured
 //! on the right half. A model of refined poses has the frame that training found, and given poses of test views are as rough as
-//! those of the training views were.
+//! those of the training views were. An aligned view has the refined intrinsics of its camera.
 
 use super::evaluate::{TestFrames, compared};
 use crate::{
     Camera, Intrinsics, Result, Scale, Session, View, ViewSet,
-    engine::poses::Aligned,
+    engine::{
+        intrinsics::{Change, changed},
+        poses::Aligned,
+    },
     measures::{metrics::psnr, quality::capped},
 };
 
@@ -15,11 +18,16 @@ const VIEWS: usize = 8;
 /// Pixels of a view that is aligned, at most, if a test frame has a scale so coarse.
 const PIXELS: u64 = 1 << 18;
 
-/// Aligns test views with the model of `session` and measures them; none without test views.
+/// Aligns test views with the model of `session` and measures them; none without test views. `refined` has the given intrinsics
+/// of each training camera at its finest scale, and their change.
 ///
 /// # Errors
 /// When a photograph cannot be read, or the device fails.
-pub fn measure(session: &mut dyn Session, test: TestFrames<'_>) -> Result<Option<Aligned>> {
+pub fn measure(
+    session: &mut dyn Session,
+    test: TestFrames<'_>,
+    refined: &[(Intrinsics, Change)],
+) -> Result<Option<Aligned>> {
     let count = test.frames.len();
     let stride = count.div_ceil(VIEWS).max(1);
     let frames: Vec<ViewSet> =
@@ -27,21 +35,32 @@ pub fn measure(session: &mut dyn Session, test: TestFrames<'_>) -> Result<Option
     if frames.is_empty() {
         return Ok(None);
     }
-    let [left, right] = [Half::Left, Half::Right].map(|half| halves(&frames, half));
+    let [mut left, right] = [Half::Left, Half::Right].map(|half| halves(&frames, half));
+    let changes: Vec<Change> = frames.iter().map(|frame| change_of(frame, refined)).collect();
+    for (view, change) in left.views.iter_mut().zip(&changes) {
+        view.camera.intrinsics = changed(&view.camera.intrinsics, change);
+    }
     let cameras = session.align(left)?;
     let mut sums = [0.0; 2];
     for (view, (frame, aligned)) in frames.iter().zip(&cameras).enumerate() {
         let given = right.views[view].camera;
         let exponent = test.data.edge_exponent(frame.scales[shown(frame)].factor);
         let target = compared(&right, view, right.composited(view, test.data.background));
-        for (sum, camera) in sums.iter_mut().zip([given, Camera { intrinsics: given.intrinsics, ..*aligned }])
-        {
+        let aligned = Camera { intrinsics: changed(&given.intrinsics, &changes[view]), ..*aligned };
+        for (sum, camera) in sums.iter_mut().zip([given, aligned]) {
             let rendered = session.render(&camera)?.shown(test.data.background, exponent).rgb();
             *sum += capped(psnr(&compared(&right, view, rendered), &target));
         }
     }
     let [given, aligned] = sums.map(|sum| sum / frames.len() as f64);
     Ok(Some(Aligned { views: frames.len(), given, aligned }))
+}
+
+/// The change of the intrinsics of the camera that took a frame; none if that took no training photograph.
+fn change_of(frame: &ViewSet, refined: &[(Intrinsics, Change)]) -> Change {
+    let finest = frame.views.first().map(|view| view.camera.intrinsics);
+    let camera = refined.iter().find(|(given, _)| Some(*given) == finest);
+    camera.map_or_else(Change::default, |(_, change)| *change)
 }
 
 /// The scale of a frame that is aligned: the finest one of so few pixels, or else the coarsest.
@@ -191,7 +210,7 @@ mod tests {
         };
         let (frames, config) = (One(set), Config::default());
         let test = TestFrames { frames: &frames, data: &config.data, finest: 1 };
-        let found = measure(&mut Knowing(taken), test).unwrap().unwrap();
+        let found = measure(&mut Knowing(taken), test, &[]).unwrap().unwrap();
         assert!(found.views == 1 && found.given < 40.0 && found.aligned > 50.0, "{found:?}");
     }
 }

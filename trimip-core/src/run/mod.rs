@@ -201,13 +201,13 @@ impl Run<'_> {
         stored.and(outcome)
     }
 
-    /// Stores refined poses, aligns test views with the finished model, and emits what was found.
+    /// Stores refined cameras, aligns test views with the finished model, and emits what was found.
     fn tell_poses(&mut self) -> Result<()> {
-        let Some(Refined { cameras, moved }) = self.session.refined() else { return Ok(()) };
+        let Some(Refined { cameras, intrinsics, moved }) = self.session.refined() else { return Ok(()) };
         self.store.cameras(&cameras)?;
         let test = TestFrames { frames: self.frames, data: &self.config.data, finest: 1 };
         let measured = self.config.eval.final_stride(self.frames.len()).is_some();
-        let aligned = if measured { alignment::measure(self.session, test)? } else { None };
+        let aligned = if measured { alignment::measure(self.session, test, &intrinsics)? } else { None };
         self.events.emit(&Event::Poses { moved, aligned });
         Ok(())
     }

@@ -17,7 +17,7 @@
 // First cone and number of cones of each pixel.
 @group(0) @binding(12) var<storage, read> pixel_groups: array<vec2<u32>>;
 @group(0) @binding(13) var<storage, read> photographs: array<u32>;
-// Six sums of each photograph in fixed point: the low and the high word of each.
+// Twelve sums of each photograph in fixed point: the low and the high word of each.
 @group(0) @binding(14) var<storage, read_write> sums: array<atomic<u32>>;
 
 // A random unit vector across ray `i` of the tile.
@@ -112,6 +112,8 @@ fn add_poses(
     let cones = pixel_groups[i];
     var force = vec3<f32>(0.0);
     var torque = vec3<f32>(0.0);
+    var turned = vec3<f32>(0.0);
+    var bent = vec3<f32>(0.0);
     for (var cone = cones.x; cone < cones.x + cones.y; cone++) {
         let ray = rays[cone];
         let segment = segments[cone];
@@ -126,10 +128,14 @@ fn add_poses(
         let by = direction_across(cone, ray.direction);
         force += own * by;
         torque += cross(own * ray.origin + lever * ray.direction, by);
+        turned += ray.cosine * lever * by;
+        bent += (1.0 / (ray.cosine * ray.cosine) - 1.0) * ray.cosine * lever * by;
     }
     let at = SUM_WORDS * photographs[i];
     for (var axis = 0u; axis < 3u; axis++) {
         add_to(at + 2u * axis, force[axis]);
         add_to(at + 2u * (3u + axis), torque[axis]);
+        add_to(at + 2u * (6u + axis), turned[axis]);
+        add_to(at + 2u * (9u + axis), bent[axis]);
     }
 }

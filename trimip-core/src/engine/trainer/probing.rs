@@ -7,7 +7,8 @@ use crate::{
     engine::{
         backend::{Loss, Sampler},
         batch::{SampleDraw, StepResult, StepSums},
-        pose_preconditioner::Motion,
+        intrinsics::Change,
+        preconditioner::Motion,
     },
 };
 use std::sync::Arc;
@@ -81,6 +82,25 @@ impl<B: Backend> Trainer<B> {
     pub fn loss_and_pose_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<Motion>)> {
         let result = self.result_of(step, rays, None)?;
         let gradient = self.poses.as_ref().map(|poses| poses.by_motions(&result));
+        Ok((result.sums, gradient.unwrap_or_default()))
+    }
+
+    /// Replaces the change of every camera's intrinsics. Does nothing unless cameras are refined.
+    pub fn set_intrinsics(&mut self, change: Change) {
+        if let Some(poses) = &mut self.poses {
+            poses.set_intrinsics(change);
+            self.loaded.stages.sampler.set_cameras(&poses.cameras());
+        }
+    }
+
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), by changes of each camera's intrinsics, as
+    /// [`set_intrinsics`](Self::set_intrinsics) takes one for all.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn loss_and_intrinsics_gradient(&mut self, step: u64, rays: u32) -> Result<(StepSums, Vec<Change>)> {
+        let result = self.result_of(step, rays, None)?;
+        let gradient = self.poses.as_ref().map(|poses| poses.by_intrinsics(&result));
         Ok((result.sums, gradient.unwrap_or_default()))
     }
 

@@ -1,5 +1,5 @@
-//! The preconditioner of a camera's pose (CamP, Park et al. 2023, Eqs. 5 to 8): of its parameters, each moves the picture by as much
-//! as any other, and none undoes another.
+//! The preconditioner of a camera's parameters (CamP, Park et al. 2023, Eqs. 5 to 8): each of them moves the picture by as much as
+//! any other, and none undoes another.
 
 use crate::{Camera, Space, math::symmetric::inverse_root_and_root};
 use glam::DVec3;
@@ -16,67 +16,87 @@ const LEAST: f64 = 1e-8;
 /// Rotation around the camera's axes (radians), then translation along them (world units).
 pub type Motion = [f64; 6];
 
-/// The map from parameters to motions of a camera: P = (JᵀJ + λ·diag(JᵀJ) + μ)^(−1/2), where J is the motion of points of the
-/// scene in the picture, as a fraction of its longer side.
+/// The map from parameters to changes of a camera: P = (JᵀJ/n + λ·diag(JᵀJ/n) + μ)^(−1/2), where J is the motion of n places of
+/// the picture, as a fraction of its longer side.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Preconditioner {
-    matrix: [[f64; 6]; 6],
-    inverse: [[f64; 6]; 6],
+pub struct Preconditioner<const N: usize> {
+    matrix: [[f64; N]; N],
+    inverse: [[f64; N]; N],
 }
 
-impl Preconditioner {
-    /// The preconditioner of a camera that sees `space`: points are spread evenly over its picture, and along each ray by
-    /// the parameter of its steps.
-    pub fn new(camera: &Camera, space: &Space<f64>) -> Self {
-        let mut sum = [[0.0; 6]; 6];
+impl<const N: usize> Preconditioner<N> {
+    /// The preconditioner whose J has these rows, one for each place and direction of motion.
+    pub fn of(rows: impl IntoIterator<Item = [f64; N]>) -> Self {
+        let mut sum = [[0.0; N]; N];
         let mut count = 0_u32;
-        each_point(camera, space, |direction, point, radius| {
-            let longer = f64::from(camera.intrinsics.width.max(camera.intrinsics.height));
-            // A pixel is the square whose disc of the same area the cone's sphere fits into.
-            let fraction = (std::f64::consts::PI.sqrt() * radius * longer).recip();
-            for across in [direction.any_orthonormal_pair().0, direction.any_orthonormal_pair().1] {
-                // A point at x in the camera's axes moves by ω × x + τ against the camera.
-                let row: [f64; 6] = {
-                    let turn = point.cross(across);
-                    [turn.x, turn.y, turn.z, across.x, across.y, across.z].map(|value| value * fraction)
-                };
-                for (sums, left) in sum.iter_mut().zip(row) {
-                    sums.iter_mut().zip(row).for_each(|(sum, right)| *sum += left * right);
-                }
+        for row in rows {
+            for (sums, left) in sum.iter_mut().zip(row) {
+                sums.iter_mut().zip(row).for_each(|(sum, right)| *sum += left * right);
             }
             count += 1;
-        });
+        }
         for (i, row) in sum.iter_mut().enumerate() {
-            row.iter_mut().for_each(|value| *value /= f64::from(count.max(1)));
+            // Two rows for each place.
+            row.iter_mut().for_each(|value| *value *= 2.0 / f64::from(count.max(2)));
             row[i] += DIAGONAL * row[i] + LEAST;
         }
         let [matrix, inverse] = inverse_root_and_root(sum);
         Self { matrix, inverse }
     }
 
-    /// The motion of these parameters.
-    pub fn motion(&self, parameters: Motion) -> Motion {
+    /// The change of the camera for these parameters.
+    pub fn change(&self, parameters: [f64; N]) -> [f64; N] {
         product(&self.matrix, parameters)
     }
 
-    /// The parameters of a motion.
-    pub fn parameters(&self, motion: Motion) -> Motion {
-        product(&self.inverse, motion)
+    /// The parameters of a change.
+    pub fn parameters(&self, change: [f64; N]) -> [f64; N] {
+        product(&self.inverse, change)
     }
 
-    /// The derivatives by the parameters, for those by the motion.
-    pub fn gradient(&self, by_motion: Motion) -> Motion {
+    /// The derivatives by the parameters, for those by the change.
+    pub fn gradient(&self, by_change: [f64; N]) -> [f64; N] {
         // The matrix is symmetric.
-        product(&self.matrix, by_motion)
+        product(&self.matrix, by_change)
     }
+}
+
+impl Preconditioner<6> {
+    /// The preconditioner of the pose of a camera that sees `space`: points are spread evenly over its picture, and along each
+    /// ray by the parameter of its steps.
+    pub fn of_pose(camera: &Camera, space: &Space<f64>) -> Self {
+        let mut rows = Vec::new();
+        each_point(camera, space, |direction, point, radius| {
+            let longer = f64::from(camera.intrinsics.width.max(camera.intrinsics.height));
+            // A pixel is the square whose disc of the same area the cone's sphere fits into.
+            let fraction = (std::f64::consts::PI.sqrt() * radius * longer).recip();
+            for across in [direction.any_orthonormal_pair().0, direction.any_orthonormal_pair().1] {
+                // A point at x in the camera's axes moves by ω × x + τ against the camera.
+                let turn = point.cross(across);
+                rows.push(
+                    [turn.x, turn.y, turn.z, across.x, across.y, across.z].map(|value| value * fraction),
+                );
+            }
+        });
+        Self::of(rows)
+    }
+}
+
+/// Places of a picture, spread evenly: as fractions of its sides.
+pub fn places() -> impl Iterator<Item = [f64; 2]> {
+    (0..PLACES).flat_map(|y| (0..PLACES).map(move |x| [middle(x), middle(y)]))
+}
+
+/// The middle of part `i` of [`PLACES`].
+fn middle(i: usize) -> f64 {
+    (i as f64 + 0.5) / PLACES as f64
 }
 
 /// Calls `take` with direction, place and radius of points in the camera's axes.
 fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, DVec3, f64)) {
-    let middle = |i: usize| (i as f64 + 0.5) / PLACES as f64;
     let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
-    for (x, y) in (0..PLACES).flat_map(|y| (0..PLACES).map(move |x| (x, y))) {
-        let cone = camera.cone_at::<f64>([middle(x) * width, middle(y) * height], 1.0);
+    for [x, y] in places() {
+        let cone = camera.cone_at::<f64>([x * width, y * height], 1.0);
         if cone.is_none() {
             continue;
         }
@@ -94,7 +114,7 @@ fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, D
     }
 }
 
-fn product(matrix: &[[f64; 6]; 6], vector: Motion) -> Motion {
+fn product<const N: usize>(matrix: &[[f64; N]; N], vector: [f64; N]) -> [f64; N] {
     matrix.map(|row| row.iter().zip(vector).map(|(a, b)| a * b).sum())
 }
 
@@ -119,11 +139,11 @@ mod tests {
     fn every_parameter_moves_the_picture_by_as_much() {
         for space in spaces() {
             let (camera, h) = (camera(), 1e-4);
-            let preconditioner = Preconditioner::new(&camera, &space);
+            let preconditioner = Preconditioner::of_pose(&camera, &space);
             for i in 0..6 {
                 let mut parameters = [0.0; 6];
                 parameters[i] = h;
-                let motion = preconditioner.motion(parameters);
+                let motion = preconditioner.change(parameters);
                 let [turn, shift] = [&motion[..3], &motion[3..]].map(DVec3::from_slice);
                 let (mut squares, mut count) = (0.0, 0.0);
                 each_point(&camera, &space, |_, point, _| {
@@ -142,9 +162,9 @@ mod tests {
     #[test]
     fn parameters_and_motions_are_inverse() {
         for space in spaces() {
-            let preconditioner = Preconditioner::new(&camera(), &space);
+            let preconditioner = Preconditioner::of_pose(&camera(), &space);
             let parameters = [0.1, -0.2, 0.3, 0.4, -0.5, 0.6];
-            let back = preconditioner.parameters(preconditioner.motion(parameters));
+            let back = preconditioner.parameters(preconditioner.change(parameters));
             for (found, expected) in back.into_iter().zip(parameters) {
                 assert!((found - expected).abs() < 1e-9, "{back:?}");
             }
@@ -156,7 +176,7 @@ mod tests {
     fn a_camera_that_looks_away_has_finite_parameters() {
         let [space, _] = spaces();
         let away = Camera::look_at(camera().intrinsics, DVec3::X * 5.0, DVec3::X * 9.0, DVec3::Z);
-        let motion = Preconditioner::new(&away, &space).motion([1e-4; 6]);
+        let motion = Preconditioner::of_pose(&away, &space).change([1e-4; 6]);
         assert!(motion.iter().all(|value| value.is_finite()), "{motion:?}");
     }
 }
