@@ -360,7 +360,8 @@ mod tests {
     #[test]
     fn settings_of_another_encoder_are_refused_by_name() {
         for (assignments, expected) in [
-            (&["hash_grid.levels=8"][..], "encoder.kind = \"hash-grid\""),
+            (&["hash_grid.levels=8", "plan.encoder=off"][..], "encoder.kind = \"hash-grid\""),
+            (&["rip_map.planes=3"], "encoder.kind = \"rip-map\""),
             (&["encoder.kind=hash-grid", "encoder.levels=5"], "encoder.kind = \"tri-mip\""),
             (&["encoder.kind=plenoxels"], "expected"),
         ] {

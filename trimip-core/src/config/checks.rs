@@ -2,7 +2,7 @@
 
 use super::{
     ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, LossConfig,
-    OccupancyConfig, PhotographsConfig, Precision, RendererConfig, SceneConfig, TrainConfig,
+    OccupancyConfig, PhotographsConfig, PlanChoice, Precision, RendererConfig, SceneConfig, TrainConfig,
 };
 use crate::config::settings::{checker::Checker, section::in_memory};
 use crate::{Error, Result, Settings};
@@ -78,16 +78,23 @@ impl Config {
         to.check(self.optimizer.milestones.is_sorted(), "optimizer.milestones", "rising fractions")?;
         self.train.check(to)?;
         self.eval.check(to)?;
-        self.refuse_settings_of_other_encoders(to)
+        // The plan may still choose the encoder of places.
+        let open = self.plan.encoder != PlanChoice::Off && !to.given("encoder.kind");
+        self.refuse_settings_of_other_encoders(to, |owner| open && owner == EncoderKind::HashGrid)
     }
 
-    /// Refuses settings of encoders that are not in use, if they differ from the defaults.
-    fn refuse_settings_of_other_encoders(&self, to: &Checker<'_>) -> Result<()> {
+    /// Refuses settings of encoders that are not in use, if they differ from the defaults and `may_follow` is false for their encoder.
+    pub(crate) fn refuse_settings_of_other_encoders(
+        &self,
+        to: &Checker<'_>,
+        may_follow: impl Fn(EncoderKind) -> bool,
+    ) -> Result<()> {
         let defaults = Settings::defaults().table().try_into::<Self>();
         let defaults = defaults.unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"));
         let (own, defaults) = (self.as_settings(), defaults.as_settings());
         for (path, value, _) in own.iter() {
-            let other = EncoderKind::owner(path).filter(|owner| *owner != self.encoder.kind);
+            let other =
+                EncoderKind::owner(path).filter(|owner| *owner != self.encoder.kind && !may_follow(*owner));
             if let Some(owner) = other.filter(|_| value.to_string() != defaults.value(path)) {
                 return Err(Error::input(
                     to.place(path),

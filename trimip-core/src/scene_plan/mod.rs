@@ -33,7 +33,7 @@ pub use facts::{Compute, Facts, StatedBox};
 pub use finding::{Change, Finding};
 pub use warnings::warnings;
 
-use crate::config::PlanChoice;
+use crate::config::{PlanChoice, settings::checker::Checker};
 use crate::{Config, Error, Origin, Result, Settings};
 use common_view::{at_one_place, cameras};
 use decision::{Context, Decision, Proposal};
@@ -55,8 +55,10 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
     expect_depth(settings, &configured, facts)?;
     let decided: Result<Vec<_>> =
         DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect();
-    // Only now it is known whether space is contracted.
+    // Only now it is known whether space is contracted, and which encoder is in use.
     let planned = Config::from_settings(settings)?;
+    let place = |path: &str| settings.place(path);
+    planned.refuse_settings_of_other_encoders(&Checker::new(&place, &|_| true), |_| false)?;
     if planned.loss.opacity > 0.0 && !recipe::knows_opacity(&planned, facts.train) {
         return Err(Error::input(
             settings.place("loss.opacity"),

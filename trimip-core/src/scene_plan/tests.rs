@@ -419,6 +419,15 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     assert!(changes().all(|change| !change.path.starts_with("encoder.") || change.path == "encoder.kind"));
     let (config, _) = of(false, &["plan.encoder=on", "encoder.kind=hash-grid", "hash_grid.levels=12"]);
     assert_eq!((config.hash_grid.levels, config.hash_grid.features), (12, 4), "what is given stays");
+    let set = ["hash_grid.log2_entries=21"];
+    let (config, _) = of(false, &set);
+    assert_eq!((config.encoder.kind, config.hash_grid.log2_entries), (EncoderKind::HashGrid, 21));
+    for (alpha, also) in
+        [(true, &[][..]), (false, &["plan.encoder=off"]), (false, &["encoder.plane_size=256"])]
+    {
+        let error = planned(&views(alpha), &[&set, also].concat()).unwrap_err();
+        assert!(error.exit_code() == 2 && error.message.contains("encoder.kind = \"hash-grid\""), "{error}");
+    }
     for (alpha, set) in [
         (true, &[][..]),
         (false, &["scene.contraction=none"]),

@@ -20,6 +20,11 @@ impl<'a> Checker<'a> {
         (self.place)(path)
     }
 
+    /// False if a setting has its default.
+    pub fn given(&self, path: &str) -> bool {
+        (self.given)(path)
+    }
+
     /// Refuses the setting `path` unless `ok`.
     ///
     /// # Errors
