@@ -14,7 +14,7 @@ use crate::{
         step_result::{CameraSums, StepResult},
     },
     field::tensors::TensorFile,
-    geometry::projections::Model,
+    geometry::{lens::Lens, projections::Model},
 };
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -27,14 +27,32 @@ pub type Change = [f64; 4];
 
 /// Intrinsics after a change, at any scale of the photograph.
 pub fn changed(given: &Intrinsics, change: &Change) -> Intrinsics {
-    let [focal, x, y, k1] = *change;
-    Intrinsics {
-        fx: given.fx * focal.exp(),
-        fy: given.fy * focal.exp(),
-        cx: given.cx + given.fx * x,
-        cy: given.cy + given.fy * y,
-        lens: given.lens.with_more_k1(k1),
-        ..*given
+    ChangedCamera::new(given, *change).at(given)
+}
+
+/// A changed camera. Its lens is found once, which takes longer than all the rest, and not again at every scale of each photograph.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ChangedCamera {
+    change: Change,
+    lens: Lens,
+}
+
+impl ChangedCamera {
+    fn new(given: &Intrinsics, change: Change) -> Self {
+        Self { change, lens: given.lens.with_more_k1(change[3]) }
+    }
+
+    /// The intrinsics of a photograph that was given with `given`, at any scale.
+    pub fn at(&self, given: &Intrinsics) -> Intrinsics {
+        let [focal, x, y, _] = self.change;
+        Intrinsics {
+            fx: given.fx * focal.exp(),
+            fy: given.fy * focal.exp(),
+            cx: given.cx + given.fx * x,
+            cy: given.cy + given.fy * y,
+            lens: self.lens,
+            ..*given
+        }
     }
 }
 
@@ -113,10 +131,11 @@ impl SharedIntrinsics {
         Self { corrections: Lagged::new(cameras.len()), cameras, photographs }
     }
 
-    /// The present change of each photograph's intrinsics.
-    pub fn changes(&self) -> Vec<Change> {
-        let of_cameras: Vec<Change> = (0..self.cameras.len()).map(|i| self.change(i)).collect();
-        self.photographs.iter().map(|(camera, _)| of_cameras[*camera]).collect()
+    /// The camera of each photograph as it is now.
+    pub fn changed(&self) -> Vec<ChangedCamera> {
+        let camera = |(i, camera): (usize, &Shared)| ChangedCamera::new(&camera.given, self.change(i));
+        let cameras: Vec<ChangedCamera> = self.cameras.iter().enumerate().map(camera).collect();
+        self.photographs.iter().map(|(camera, _)| cameras[*camera]).collect()
     }
 
     /// The present change of camera `i`.
@@ -199,7 +218,7 @@ impl SharedIntrinsics {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Camera, engine::batch::StepSums, geometry::lens::Lens};
+    use crate::{Camera, engine::batch::StepSums};
 
     const CHANGE: Change = [0.02, -0.01, 0.015, 0.03];
 
@@ -298,7 +317,7 @@ mod tests {
             shared.take(&step);
             shared.advance(&config, 1e-3, i + 1, 0);
         }
-        let changes = shared.changes();
+        let changes: Vec<Change> = shared.changed().iter().map(|camera| camera.change).collect();
         assert_eq!(changes[0], changes[2]);
         assert!(changes[0][..3].iter().all(|part| part.abs() > 1e-6) && changes[0][3] == 0.0, "{changes:?}");
         assert!(changes[1] == [0.0; 4] && changes[3] == [0.0; 4], "{changes:?}");

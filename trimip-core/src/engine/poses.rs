@@ -1,14 +1,15 @@
 //! Poses of photographs, for `train.cameras = "refine"`: training also moves each photograph's camera, by a rotation and a
-//! translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). They are trained beside the
-//! parameters, preconditioned ([`Preconditioner`]), and are no part of a model. Their mean over all cameras, in the axes of the world, stays zero, and so does the growth of the cameras' distances to their
-//! middle: the scene stays where it is, of the size that it has.
+//! translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). Motions are trained beside the
+//! parameters, preconditioned ([`Preconditioner`]), and are no part of a model. Their mean over all cameras, in the axes of the
+//! world, stays zero, and so does the growth of the cameras' distances to their middle: the scene stays where it is, of the size
+//! that it has.
 
 use crate::{
     Camera, Config, Intrinsics, Result, Space, ViewSet,
     config::{CameraPoses, OptimizerConfig},
     engine::{
         exposure::photographs,
-        intrinsics::{Change, ChangedIntrinsics, SharedIntrinsics, changed},
+        intrinsics::{Change, ChangedCamera, ChangedIntrinsics, SharedIntrinsics},
         lagged::Lagged,
         preconditioner::{Motion, Preconditioner},
         step_result::StepResult,
@@ -168,18 +169,18 @@ impl Poses {
     /// The cameras of all views as they are now, around the centre of the box.
     pub fn cameras(&self) -> Vec<Camera> {
         let motions: Vec<Motion> = (0..self.given.len()).map(|i| self.motion(i)).collect();
-        let changes = self.intrinsics.changes();
+        let changed = self.intrinsics.changed();
         let camera = |(camera, photograph): &(Camera, usize)| {
-            moved(camera, &motions[*photograph], &changes[*photograph])
+            moved(camera, &motions[*photograph], &changed[*photograph])
         };
         self.views.iter().map(camera).collect()
     }
 
     /// The poses that training has found so far; `centre` is that of the box.
     pub fn refined(&self, centre: DVec3) -> Refined {
-        let changes = self.intrinsics.changes();
+        let changed = self.intrinsics.changed();
         let camera = |(i, given): (usize, &Given)| {
-            let camera = moved(&given.camera, &self.motion(i), &changes[i]);
+            let camera = moved(&given.camera, &self.motion(i), &changed[i]);
             (given.name.clone(), Camera { origin: camera.origin + centre, ..camera })
         };
         Refined {
@@ -328,10 +329,10 @@ pub(crate) fn shorten<const N: usize>(value: &mut [f32; N]) {
     }
 }
 
-/// A camera after a motion in its own axes and a change of its intrinsics.
-fn moved(camera: &Camera, motion: &Motion, change: &Change) -> Camera {
+/// A camera after a motion in its own axes, with changed intrinsics.
+fn moved(camera: &Camera, motion: &Motion, changed: &ChangedCamera) -> Camera {
     Camera {
-        intrinsics: changed(&camera.intrinsics, change),
+        intrinsics: changed.at(&camera.intrinsics),
         rotation: camera.rotation * turn(motion),
         origin: camera.origin + camera.rotation * DVec3::from_slice(&motion[3..]),
     }
