@@ -9,8 +9,7 @@ use crate::{
     config::OptimizerConfig,
     engine::{
         lagged::Lagged,
-        poses::shorten,
-        preconditioner::{Preconditioner, places},
+        preconditioner::{Preconditioner, places, shorten},
         step_result::{CameraSums, StepResult},
     },
     field::tensors::TensorFile,

@@ -11,7 +11,7 @@ use crate::{
         exposure::photographs,
         intrinsics::{Change, ChangedCamera, ChangedIntrinsics, SharedIntrinsics},
         lagged::Lagged,
-        preconditioner::{Motion, Preconditioner},
+        preconditioner::{Motion, Preconditioner, shorten},
         step_result::StepResult,
     },
     field::tensors::TensorFile,
@@ -22,9 +22,6 @@ use serde::{Deserialize, Serialize};
 
 /// Prefix of the names of its tensors in checkpoints.
 pub const PREFIX: &str = "poses.";
-
-/// Largest motion of a camera, as that of its picture: a tenth of the longer side.
-const MOST: f64 = 0.1;
 
 /// The given pose of a photograph's camera, around the centre of the box.
 #[derive(Clone, Debug, PartialEq)]
@@ -249,7 +246,9 @@ impl Poses {
     pub(crate) fn take(&mut self, step: &StepResult) {
         let by_world = self.by_world(step).into_iter();
         self.corrections.take(by_world.map(|by| by.map(|by| by as f32)).collect());
-        self.intrinsics.take(step);
+        if !self.free {
+            self.intrinsics.take(step);
+        }
     }
 
     /// Applies the gradients that are due ([`Lagged::due`]). Returns whether any camera may have moved.
@@ -318,14 +317,6 @@ fn centre(given: &[Given], values: &mut [[f32; 6]]) {
         let own = [turn - mean[0], shift - mean[1] - growth * arm];
         let own = own.map(|part| given.camera.rotation.transpose() * part);
         *value = given.preconditioner.parameters(joined(own)).map(|value| value as f32);
-    }
-}
-
-/// Shortens parameters whose motion of the picture is too large.
-pub(crate) fn shorten<const N: usize>(value: &mut [f32; N]) {
-    let length = value.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt();
-    if length > MOST {
-        *value = value.map(|value| (MOST / length * f64::from(value)) as f32);
     }
 }
 

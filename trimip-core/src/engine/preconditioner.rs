@@ -13,6 +13,9 @@ const DIAGONAL: f64 = 0.1;
 /// Damping: added to the diagonal (μ of CamP).
 const LEAST: f64 = 1e-8;
 
+/// Largest change of a camera, as the motion of its picture: a tenth of the longer side.
+const MOST: f64 = 0.1;
+
 /// Rotation around the camera's axes (radians), then translation along them (world units).
 pub type Motion = [f64; 6];
 
@@ -111,6 +114,14 @@ fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, D
             let axes = camera.rotation.transpose();
             take(axes * direction, axes * point, cone.radius_at(t));
         }
+    }
+}
+
+/// Shortens parameters that move the picture too far.
+pub(crate) fn shorten<const N: usize>(value: &mut [f32; N]) {
+    let length = value.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt();
+    if length > MOST {
+        *value = value.map(|value| (MOST / length * f64::from(value)) as f32);
     }
 }
 
