@@ -26,6 +26,11 @@ fn with_threads(threads: &[u32], part: impl Fn(&dyn Fn() -> CpuBackend) -> Resul
 }
 
 #[test]
+fn colours_see_directions_after_their_delay() {
+    on_every_cpu(|make| suite::training::delayed_directions(make));
+}
+
+#[test]
 fn a_run_begins_near_known_points() {
     on_every_cpu(|make| suite::training::confined(make));
 }

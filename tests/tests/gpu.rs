@@ -188,6 +188,11 @@ fn a_step_moves_parameters_by_the_written_rule() {
 }
 
 #[test]
+fn colours_see_directions_after_their_delay() {
+    reproducibly(|make| suite::training::delayed_directions(make));
+}
+
+#[test]
 fn a_run_begins_near_known_points() {
     reproducibly(|make| suite::training::confined(make));
 }

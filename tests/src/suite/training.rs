@@ -63,8 +63,8 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     resume_with(&make, &drawn(), file)
 }
 
-/// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows, and more
-/// cells of the occupancy grid can be occupied from steps 8 and 12 on.
+/// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows, colours see
+/// directions from step 6 on, and more cells of the occupancy grid can be occupied from steps 8 and 12 on.
 ///
 /// # Errors
 /// When the settings are refused.
@@ -73,6 +73,8 @@ pub fn scheduled() -> Result<Config> {
     let text = r#"
         [encoder]
         halvings = [[0.0, 2], [0.11, 1], [0.21, 0]]
+        [field]
+        direction_delay = 0.15
         [renderer]
         step_scale = [[0.0, 2.0], [0.2, 1.0]]
         [occupancy]
@@ -142,6 +144,37 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let Checkpoint { state, file, .. } = trainer.checkpoint()?;
     assert_eq!(state.confinement, None);
     assert!(!file.f32("", OCCUPANCY_DENSITY, &[CELLS])?.contains(&OUTSIDE));
+    Ok(())
+}
+
+/// Until the end of `field.direction_delay` the weights of the direction and their moments are 0, so that colours do not change with
+/// it. All other weights are trained from the start, and these from then on.
+///
+/// # Errors
+/// When a step fails.
+pub fn delayed_directions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
+    let mut config = configuration();
+    config.field.direction_delay = 0.25;
+    let mut trainer = Trainer::new(make(), &config, fixtures::noise(3, 16, 2, 2))?;
+    let layout = trainer.layout().clone();
+    let weights = layout.direction_weights(&config).expect("colours see directions");
+    let slot = layout.network("color").next().expect("a layer").range.clone();
+    assert_eq!((weights.start, weights.len()), (slot.start, 16 * config.field.hidden as usize));
+    let initial = trainer.parameters();
+    steps(&mut trainer, &config, 10)?;
+    let file = trainer.checkpoint()?.file;
+    let [parameters, m, v] = ["", ".m", ".v"].map(|suffix| layout.from_tensors(&file, "checkpoint", suffix));
+    let (parameters, m, v) = (parameters?, m?, v?);
+    for values in [&initial, &parameters, &m, &v] {
+        assert!(values[weights.clone()].iter().all(|&value| value == 0.0));
+    }
+    let changed = |range: std::ops::Range<usize>| range.filter(|&i| parameters[i] != initial[i]).count();
+    let others = weights.end..slot.end;
+    assert!(changed(others.clone()) > others.len() / 2);
+    steps(&mut trainer, &config, 1)?;
+    let parameters = trainer.parameters();
+    let moved = parameters[weights.clone()].iter().filter(|&&value| value != 0.0).count();
+    assert!(moved > weights.len() / 4, "{moved} of {}", weights.len());
     Ok(())
 }
 

@@ -122,6 +122,14 @@ pub fn view_width(config: &Config) -> usize {
     }
 }
 
+/// The slot of the weights from the direction to the first hidden layer of colour, and the number of them, which come first;
+/// `None` if the colour network sees no direction.
+pub fn direction_weights(config: &Config) -> Option<(String, usize)> {
+    let network = color_network(config);
+    let (width, [_, outputs]) = (view_width(config), *network.layers.first()?);
+    (width > 0).then(|| (format!("{}.0.weight", network.name), width * outputs))
+}
+
 /// Number of values that the colour network sees of the geometry features.
 pub fn geometry_width(config: &Config) -> usize {
     match encoders::of(config).direct() {

@@ -7,12 +7,13 @@ use crate::{
     Config, Result,
     field::{
         encoders,
-        networks::{color_network, density_network},
+        networks::{color_network, density_network, direction_weights},
         slot::in_sequence,
         tensors::{Tensor, TensorFile},
     },
     math::rng::{Random, Sequence, unit},
 };
+use std::ops::Range;
 
 /// All slots in order: encoder, density network, colour network.
 #[derive(Clone, Debug, PartialEq)]
@@ -92,7 +93,7 @@ impl Layout {
         self.slots.iter().filter(move |slot| slot.name.starts_with(&prefix))
     }
 
-    /// Initial values, uniform within each slot's bound, or normal.
+    /// Initial values, uniform within each slot's bound, or normal. With `field.direction_delay` the weights of the direction are 0.
     pub fn initial(&self, config: &Config) -> Vec<f32> {
         let random = Random::new(config.seed);
         let mut values = vec![0.0; self.len()];
@@ -103,7 +104,19 @@ impl Layout {
                     slot.bound * if slot.normal { normal(bits, i) } else { 2.0 * unit(bits[i % 4]) - 1.0 };
             }
         }
+        if config.field.direction_delay > 0.0
+            && let Some(weights) = self.direction_weights(config)
+        {
+            values[weights].fill(0.0);
+        }
         values
+    }
+
+    /// The weights from the viewing direction to the first hidden layer of colour.
+    pub fn direction_weights(&self, config: &Config) -> Option<Range<usize>> {
+        let (name, count) = direction_weights(config)?;
+        let slot = self.slots.iter().find(|slot| slot.name == name)?;
+        Some(slot.range.start..slot.range.start + count)
     }
 
     /// Splits flat values into named tensors; `suffix` is appended to each name.

@@ -25,6 +25,11 @@ impl<B: Backend> Trainer<B> {
             self.state.marched_per_ray /= ratio as f32;
         }
         self.state.spacing = spacing;
+        let sees_directions = progress >= self.loaded.config.field.direction_delay;
+        if sees_directions != self.trains_directions {
+            self.trains_directions = sees_directions;
+            self.restrict();
+        }
         let stage = encoders::of(&self.loaded.config).stage(&self.loaded.config, progress);
         if stage >= self.state.stage {
             return Ok(());
@@ -122,6 +127,13 @@ impl<B: Backend> Trainer<B> {
     /// Switches encoder and optimiser to the parameters of `stage`.
     pub(super) fn enter(&mut self, stage: u32) {
         self.state.stage = stage;
+        self.loaded.stages.encoder.grow(stage);
+        self.restrict();
+    }
+
+    /// Restricts the optimiser to the parameters in use: those of the stage, and the weights of the direction after their delay.
+    fn restrict(&mut self) {
+        let stage = self.state.stage;
         let encoder = encoders::of(&self.loaded.config);
         let (config, _) = self.loaded.config.centred();
         let part = |slot: &Slot| match slot.grows {
@@ -131,8 +143,13 @@ impl<B: Backend> Trainer<B> {
             },
             false => ActiveRange { range: slot.range.clone(), sparsity: 0.0 },
         };
-        let parts: Vec<_> = self.layout().slots.iter().map(part).collect();
-        self.loaded.stages.encoder.grow(stage);
+        let mut parts: Vec<_> = self.layout().slots.iter().map(part).collect();
+        if !self.trains_directions
+            && let Some(weights) = self.layout().direction_weights(&config)
+            && let Some(part) = parts.iter_mut().find(|part| part.range.start == weights.start)
+        {
+            part.range.start = weights.end;
+        }
         self.loaded.stages.optimizer.restrict(&parts);
     }
 }

@@ -61,6 +61,8 @@ pub struct Trainer<B: Backend> {
     exposures: Option<Exposures>,
     /// With `train.cameras`.
     poses: Option<Poses>,
+    /// False until the end of `field.direction_delay`.
+    trains_directions: bool,
     /// With `occupancy.seeded` or `occupancy.cleared`.
     known_space: Option<KnownSpace>,
 }
@@ -122,6 +124,7 @@ impl<B: Backend> Trainer<B> {
             errors: Vec::new(),
             exposures,
             poses,
+            trains_directions: true,
             known_space,
         };
         if trainer.known_space.is_some() {
