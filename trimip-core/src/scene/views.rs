@@ -92,6 +92,11 @@ pub struct ViewSet {
 }
 
 impl ViewSet {
+    /// Number of photographs: the views of the finest scale.
+    pub fn photographs(&self) -> usize {
+        self.scales.first().map_or(0, |finest| finest.views.len())
+    }
+
     /// Pixels of view `index`, row by row.
     pub fn pixels_of(&self, index: usize) -> &[[u8; 4]] {
         let view = &self.views[index];

@@ -4,7 +4,7 @@ use super::decision::Decision;
 use super::{aabb, cones, crop, depth, detail, hash_grid, leave_out, recipe, tri_mip};
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 18] = [
+pub(super) const DECISIONS: [Decision; 19] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -42,6 +42,12 @@ pub(super) const DECISIONS: [Decision; 18] = [
         decide: recipe::solids,
     },
     Decision { key: "surfaces", owns: &[], choice: |config| config.plan.surfaces, decide: recipe::surfaces },
+    Decision {
+        key: "direction_delay",
+        owns: &["field.direction_delay"],
+        choice: |config| config.plan.direction_delay,
+        decide: recipe::direction_delay,
+    },
     Decision {
         key: "density",
         owns: &["field.density_scale"],

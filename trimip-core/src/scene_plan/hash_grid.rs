@@ -73,8 +73,7 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
         };
         return Proposal::Keep(reason.into());
     }
-    let photographs = context.facts.train.scales.first().map_or(0, |finest| finest.views.len());
-    let least = MANY_SAMPLES[usize::from(photographs >= MANY_VIEWS)];
+    let least = MANY_SAMPLES[usize::from(context.facts.train.photographs() >= MANY_VIEWS)];
     let entries = ENTRIES[usize::from(context.budget() >= least)];
     let [levels, features] = LEVELS;
     let mut changes = vec![
