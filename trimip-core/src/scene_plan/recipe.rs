@@ -23,11 +23,11 @@ const DISTORTION: f64 = 1e-3;
 const MANY_PIXELS: usize = 1 << 20;
 
 /// Number of training photographs of a place from which colours see directions from the start. With 16 to 43 photographs the delay
-/// gains 0.8 to 5 dB, with 255 it loses 0.3.
-const MANY_VIEWS: usize = 100;
+/// gains 0.8 to 5 dB, with 85 and more it loses 0.3.
+const MANY_VIEWS: usize = 60;
 
 /// Fraction of the run in which colours of places in fewer photographs do not change with the view.
-const DIRECTION_DELAY: f64 = 0.3;
+const DIRECTION_DELAY: f64 = 0.2;
 
 /// Transmittance and weight below which a place's samples are dropped: they show less than a pixel's rounding.
 const FAINT: [f64; 2] = [0.02, 0.002];

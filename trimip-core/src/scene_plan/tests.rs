@@ -257,7 +257,7 @@ fn places_have_thin_surfaces_and_objects_keep_their_settings() {
 #[test]
 fn colours_of_places_in_few_photographs_see_directions_late() {
     let of = |alpha: bool, set: &[&str]| planned(&views(alpha), set).unwrap().0.field.direction_delay;
-    assert_eq!(of(false, &[]), 0.3);
+    assert_eq!(of(false, &[]), 0.2);
     assert_eq!(of(false, &["field.direction_delay=0.1"]), 0.1, "what is given stays");
     for (alpha, set) in [
         (true, &[][..]),
@@ -267,7 +267,7 @@ fn colours_of_places_in_few_photographs_see_directions_late() {
     ] {
         assert_eq!(of(alpha, set), 0.0, "{set:?}");
     }
-    let many = planned(&views_of(false, 100), &[]).unwrap().0;
+    let many = planned(&views_of(false, 60), &[]).unwrap().0;
     assert_eq!(many.field.direction_delay, 0.0, "places are seen from many sides");
 }
 
