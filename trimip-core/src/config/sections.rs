@@ -42,7 +42,7 @@ section!(
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.
     PlanConfig, "plan" {
-        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, surfaces: PlanChoice, density: PlanChoice, error_map: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, direction_delay: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, direction_delay: PlanChoice, surfaces: PlanChoice, density: PlanChoice, error_map: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(

@@ -41,13 +41,13 @@ pub(super) const DECISIONS: [Decision; 19] = [
         choice: |config| config.plan.solids,
         decide: recipe::solids,
     },
-    Decision { key: "surfaces", owns: &[], choice: |config| config.plan.surfaces, decide: recipe::surfaces },
     Decision {
         key: "direction_delay",
         owns: &["field.direction_delay"],
         choice: |config| config.plan.direction_delay,
         decide: recipe::direction_delay,
     },
+    Decision { key: "surfaces", owns: &[], choice: |config| config.plan.surfaces, decide: recipe::surfaces },
     Decision {
         key: "density",
         owns: &["field.density_scale"],

@@ -14,9 +14,9 @@ use toml::Value;
 /// Weight of the opacity loss where opacity is known: it makes models solid.
 const OPACITY: f64 = 0.1;
 
-/// Weight of the distortion loss in places: it gathers the density of a ray at its surface. Ten times as much moves all
-/// density in front of the cameras.
-const DISTORTION: f64 = 1e-3;
+/// Weight of the distortion loss in places whose colours see directions from the start, and late: it gathers the density of a ray at
+/// its surface. Too much moves all density in front of the cameras: 0.01 with colours that see directions from the start, 0.03 otherwise.
+const DISTORTIONS: [f64; 2] = [1e-3, 5e-3];
 
 /// Fewest pixels of a place's photographs for a hash grid and opaque rays: with fewer, a grid has more values than they have,
 /// and explains each photograph by density of its own in front of the camera.
@@ -185,8 +185,9 @@ pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("the scene is bounded".into());
     }
     let [transmittance, weight] = FAINT;
+    let distortion = DISTORTIONS[usize::from(context.now.field.direction_delay > 0.0)];
     let mut changes = vec![
-        ("loss.distortion", Value::Float(DISTORTION)),
+        ("loss.distortion", Value::Float(distortion)),
         ("renderer.min_transmittance", Value::Float(transmittance)),
         ("renderer.min_weight", Value::Float(weight)),
     ];
