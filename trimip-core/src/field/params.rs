@@ -184,7 +184,7 @@ mod tests {
         let ranges: Vec<_> = layout.slots.iter().map(|slot| slot.range.clone()).collect();
         assert_eq!((ranges, layout.len()), (vec![0..15, 16..17, 32..64], 64));
         let values = layout.initial(&Config::default());
-        let zeros = |range: std::ops::Range<usize>| values[range].iter().all(|&value| value == 0.0);
+        let zeros = |range: Range<usize>| values[range].iter().all(|&value| value == 0.0);
         assert!(zeros(15..16) && zeros(17..32) && values[16] != 0.0);
         let mut file = TensorFile::default();
         layout.to_tensors(&values, "", &mut file);
