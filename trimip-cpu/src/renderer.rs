@@ -13,7 +13,7 @@ use trimip_core::engine::batch::{
 };
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::Guide;
-use trimip_core::math::compositing::{Visibility, composite, composite_gradient};
+use trimip_core::math::compositing::{Passed, Visibility, composite, composite_gradient};
 use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// The renderer: its policy, and what chooses the samples of pictures.
@@ -76,12 +76,16 @@ impl Renderer<CpuBackend> for CpuRenderer {
         kept.clear();
         for segment in samples.segments.iter_mut() {
             let start = kept.len() as u32;
-            let mut depth = 0.0;
+            let mut passed = Passed::default();
             for i in segment.start..segment.start + segment.count {
-                let own = radiance[i as usize].density * samples.intervals[i as usize].length;
-                match self.policy.pruning.decide(&mut depth, own) {
-                    Visibility::Keep => kept.push(i),
-                    Visibility::Skip => {}
+                let length = &mut samples.intervals[i as usize].length;
+                let own = radiance[i as usize].density * *length;
+                match self.policy.pruning.decide(&mut passed, own) {
+                    Visibility::Keep(factor) => {
+                        *length *= factor;
+                        kept.push(i);
+                    }
+                    Visibility::Merge => {}
                     Visibility::Terminate => break,
                 }
             }

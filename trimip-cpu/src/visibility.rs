@@ -13,7 +13,7 @@ use crate::{CpuBackend, CpuField, WorkerScratch};
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::engine::policy::RendererPolicy;
-use trimip_core::math::compositing::{Pruning, Visibility};
+use trimip_core::math::compositing::{Passed, Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
 /// Samples per ray that are evaluated at once, at most.
@@ -119,7 +119,7 @@ impl Scratch {
         self.walkers.extend(rays.rays.iter().zip(0..).map(|(ray, index)| Walker {
             ray: index,
             cursor: Cursor::new(policy, ray, jitter, rays.first + index),
-            depth: 0.0,
+            passed: Passed::default(),
             out: false,
         }));
     }
@@ -156,7 +156,8 @@ impl Scratch {
             let tile = &mut Tile { stream: &mut *stream, parameters, rays, samples };
             stages.encoder.forward(tile, &mut piece.encoder_context, &mut piece.features);
             stages.field.density(tile, &piece.features, &mut piece.field_context, &mut piece.radiance);
-            look(walkers, samples, &piece.radiance, &renderer.policy.pruning, seen);
+            look(walkers, &mut piece.samples, &piece.radiance, &renderer.policy.pruning, seen);
+            let samples = &piece.samples;
             staged.samples.rays.append_rows(&samples.rays, seen, 1);
             staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
             staged.samples.spheres.append_rows(&samples.spheres, seen, 1);
@@ -226,7 +227,7 @@ impl Kernel for PlaceSamples<'_> {
         for (walker, segment) in walkers.iter_mut().zip(segments.iter_mut()) {
             let start = count;
             let ray = &rays.rays[walker.ray as usize];
-            let mut depth = walker.depth;
+            let mut depth = walker.passed.depth;
             walker.out = advance(
                 &stages.renderer.policy,
                 ray,
@@ -286,10 +287,10 @@ impl Kernel for Choose<'_> {
     }
 }
 
-/// Lists the visible samples, and drops rays that have ended or become opaque.
+/// Lists the visible samples, whose intervals get the lengths that they stand for, and drops rays that have ended or become opaque.
 fn look(
     walkers: &mut Vec<Walker>,
-    samples: &Samples<CpuBackend>,
+    samples: &mut Samples<CpuBackend>,
     radiance: &Buffer<Radiance>,
     pruning: &Pruning<f32>,
     seen: &mut Buffer<u32>,
@@ -299,13 +300,17 @@ fn look(
     walkers.retain_mut(|walker| {
         let Some(segment) = segments.next() else { return false };
         for row in segment.start..segment.start + segment.count {
-            let own = radiance[row as usize].density * samples.intervals[row as usize].length;
-            match pruning.decide(&mut walker.depth, own) {
-                Visibility::Keep => seen.push(row),
-                Visibility::Skip => {}
+            let length = &mut samples.intervals[row as usize].length;
+            let own = radiance[row as usize].density * *length;
+            match pruning.decide(&mut walker.passed, own) {
+                Visibility::Keep(factor) => {
+                    *length *= factor;
+                    seen.push(row);
+                }
+                Visibility::Merge => {}
                 Visibility::Terminate => return false,
             }
         }
-        !walker.out && !(walker.depth > pruning.max_depth)
+        !walker.out && !(walker.passed.depth > pruning.max_depth)
     });
 }

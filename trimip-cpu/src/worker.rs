@@ -6,6 +6,7 @@ use crate::cursor::Cursor;
 use crate::field::Context;
 use trimip_core::engine::batch::{Radiance, Samples, Segment};
 use trimip_core::engine::proxy::Shaded;
+use trimip_core::math::compositing::Passed;
 
 /// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
 pub const SAMPLES_AT_ONCE: usize = 1536;
@@ -49,8 +50,8 @@ impl WorkerScratch {
 pub struct Walker {
     pub ray: u32,
     pub cursor: Cursor,
-    /// Optical depth accumulated so far.
-    pub depth: f32,
+    /// Optical depths so far.
+    pub passed: Passed<f32>,
     /// True if the ray has left the box.
     pub out: bool,
 }

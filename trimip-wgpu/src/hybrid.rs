@@ -71,7 +71,7 @@ const CHOICE: [Source; 6] = [
     Text(include_str!("shaders/choose.wgsl")),
 ];
 const SHARE: [Source; 5] =
-    [GRID, PRUNING, COMPOSITING, Source::of::<ShareParams>(), Text(include_str!("shaders/share.wgsl"))];
+    [GRID, COMPOSITING, PRUNING, Source::of::<ShareParams>(), Text(include_str!("shaders/share.wgsl"))];
 
 kernels! {
     /// The kernels of hybrid rendering.

@@ -99,8 +99,14 @@ const SCAN: [Source; 4] = [
     Source::whole("DROPPED", DROPPED),
     Text(include_str!("shaders/scan.wgsl")),
 ];
-const PRUNE: [Source; 5] =
-    [GRID, PRUNING, SEGMENTS, Source::of::<PruneParams>(), Text(include_str!("shaders/prune.wgsl"))];
+const PRUNE: [Source; 6] = [
+    GRID,
+    COMPOSITING,
+    PRUNING,
+    SEGMENTS,
+    Source::of::<PruneParams>(),
+    Text(include_str!("shaders/prune.wgsl")),
+];
 const COMPOSITE: [Source; 7] = [
     GRID,
     RAY,
@@ -137,7 +143,7 @@ kernels! {
         see: Kernel::new(
             "see",
             &PRUNE,
-            &[(0, Write), (2, Parameters), (3, Read), (4, Read), (5, Write), (6, Write)],
+            &[(0, Write), (2, Parameters), (3, Read), (4, Write), (5, Write), (6, Write)],
         ),
         /// Counts the marked samples.
         recount: Kernel::new("recount", &PRUNE, &[(0, Write), (2, Parameters), (5, Write), (6, Write)]),

@@ -316,24 +316,27 @@ pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]
     samples
 }
 
-/// Indices of the kept samples of a ray (transmittance before them and their weight at least the configured minima),
-/// and the margin of the closest decision: the smallest |ln T − ln T_min| or |ln w − ln w_min|. A dropped sample does
-/// not attenuate the ray.
-pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<usize>, f64) {
+/// Indices of the kept samples of a ray (transmittance before them, and their weight with that of the dropped ones since the
+/// last kept one, at least the configured minima), how many times its own length each stands for, and the margin of the closest
+/// decision: the smallest |ln T − ln T_min| or |ln w − ln w_min|.
+pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<(usize, f64)>, f64) {
     let [least, lightest] =
         [config.renderer.min_transmittance, config.renderer.min_weight].map(|limit| f64::from(limit).ln());
     let (mut log_transmittance, mut margin, mut kept) = (0.0_f64, f64::INFINITY, Vec::new());
+    let mut faint = 0.0;
     for (i, (sample, density)) in samples.iter().zip(densities).enumerate() {
         let depth = density * sample.length;
         margin = margin.min((log_transmittance - least).abs());
         if log_transmittance < least {
             break;
         }
-        let log_weight = log_transmittance + (1.0 - (-depth).exp()).ln();
+        faint += depth;
+        let log_weight = log_transmittance + (1.0 - (-faint).exp()).ln();
         margin = margin.min((log_weight - lightest).abs());
         if log_weight >= lightest {
-            kept.push(i);
-            log_transmittance -= depth;
+            kept.push((i, faint / depth));
+            log_transmittance -= faint;
+            faint = 0.0;
         }
     }
     (kept, margin)

@@ -8,6 +8,9 @@ use crate::{
     math::scalar::Real,
 };
 
+/// The exponential of no larger number is a density: it stays finite, and a sample of it is opaque at any length.
+const MOST: f64 = 60.0;
+
 /// Map from a density logit to a density per world unit (`field.density`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Density {
@@ -31,7 +34,7 @@ impl Density {
     pub fn value<R: Real>(&self, logit: R) -> R {
         let x = logit - R::from_f64(self.shift);
         let density = match self.kind {
-            DensityFunction::Exp => x.exp(),
+            DensityFunction::Exp => x.min(R::from_f64(MOST)).exp(),
             DensityFunction::Softplus => softplus(x),
             DensityFunction::Relu => x.max(R::zero()),
         };
@@ -156,6 +159,7 @@ mod tests {
         for logit in [-1e4_f32, -200.0, 200.0, 1e4] {
             assert!((0.0..=1.0).contains(&sigmoid(logit)));
             assert!(exp.derivative(logit) > 0.0 && exp.derivative(logit) < 3.3e6);
+            assert!(exp.value(logit).is_finite());
             assert!(softplus.value(logit).is_finite() && softplus.value(logit) >= 0.0);
         }
         assert!(

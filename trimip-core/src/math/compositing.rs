@@ -22,6 +22,9 @@ impl<R: Real> Composite<R> {
     }
 }
 
+/// No colour is brighter than this: a field without networks can have colours above 1.
+const BRIGHTEST: f64 = 1024.0;
+
 /// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
 /// α by `exp_m1`: thin samples keep their relative accuracy.
 #[inline]
@@ -30,23 +33,34 @@ pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
     (transmittance * alpha, transmittance * (-depth).exp())
 }
 
-/// Which samples are dropped before their colour is computed: those that hardly contribute.
+/// Which samples are dropped before their colour is computed: those behind what is opaque, and faint ones, which merge with the
+/// next one of their ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pruning<R> {
     /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance, or of the minimum
     /// weight if that is larger, because no weight exceeds the transmittance before it.
     pub max_depth: R,
-    /// Samples of less weight T·α than this are dropped, as if they were empty.
+    /// Samples merge until their weight T·(1 − exp(−Σ x)) is at least this. The last of them is kept and stands for the
+    /// optical depth of all. What is left at the end of a ray has less weight than this, and is dropped.
     pub min_weight: R,
 }
 
+/// The optical depths that a ray has passed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Passed<R> {
+    /// That of the kept samples, with what they stand for.
+    pub depth: R,
+    /// That of the dropped ones that the next kept one stands for.
+    pub faint: R,
+}
+
 /// Decision about a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Visibility {
-    /// It is kept.
-    Keep,
-    /// It is dropped; samples behind it may be kept.
-    Skip,
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Visibility<R> {
+    /// It is kept, and stands for a stretch so many times as long as its own: at least 1.
+    Keep(R),
+    /// It is dropped, and merges with the next one.
+    Merge,
     /// It is dropped with all samples behind it.
     Terminate,
 }
@@ -57,19 +71,21 @@ impl<R: Real> Pruning<R> {
         Self { max_depth: -min_transmittance.max(min_weight).ln(), min_weight }
     }
 
-    /// Decides about a sample of optical depth `depth`; `before` is the optical depth of the samples kept so far. A kept
-    /// sample adds to it.
+    /// Decides about a sample of optical depth `depth`, and adds it to what the ray has passed.
     #[inline]
-    pub fn decide(&self, before: &mut R, depth: R) -> Visibility {
-        if *before > self.max_depth {
+    pub fn decide(&self, passed: &mut Passed<R>, depth: R) -> Visibility<R> {
+        if passed.depth > self.max_depth {
             return Visibility::Terminate;
         }
+        let all = passed.faint + depth;
         // The comparison is false for NaN: such a sample is kept, and the step reports it.
-        if self.min_weight > R::zero() && weight((-*before).exp(), depth).0 < self.min_weight {
-            return Visibility::Skip;
+        if self.min_weight > R::zero() && weight((-passed.depth).exp(), all).0 < self.min_weight {
+            passed.faint = all;
+            return Visibility::Merge;
         }
-        *before += depth;
-        Visibility::Keep
+        let factor = if passed.faint > R::zero() { all / depth } else { R::one() };
+        *passed = Passed { depth: passed.depth + all, faint: R::zero() };
+        Visibility::Keep(factor)
     }
 }
 
@@ -110,6 +126,9 @@ pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, backgro
 ///
 /// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is the
 /// fourth channel, 1 for every sample and 0 for the background.
+///
+/// What a sample hides is the pixel minus what lies in front, which leaves a rounding error where nothing shines through. It is
+/// bounded by the transmittance: otherwise the density of an opaque sample, times that error, would grow without end.
 #[inline]
 pub fn composite_gradient<R: Real>(
     count: usize,
@@ -120,6 +139,7 @@ pub fn composite_gradient<R: Real>(
 ) {
     let [r, g, b, opacity] = gradient;
     let shade = |[red, green, blue]: [R; 3], fraction: R| red * r + green * g + blue * b + fraction * opacity;
+    let brightest = R::from_f64(BRIGHTEST) * gradient.iter().fold(R::zero(), |sum, g| sum + g.abs());
     // The contribution of everything behind the sample, including the background; at first the whole pixel.
     let mut behind = shade([pixel[0], pixel[1], pixel[2]], pixel[3]);
     let mut transmittance = R::one();
@@ -131,7 +151,8 @@ pub fn composite_gradient<R: Real>(
         depth_before += depth;
         transmittance = (-depth_before).exp();
         behind = behind - w * shade;
-        out(i, transmittance * shade - behind, [r, g, b].map(|g| g * w));
+        let most = transmittance * brightest;
+        out(i, transmittance * shade - behind.max(-most).min(most), [r, g, b].map(|g| g * w));
     }
 }
 
@@ -218,34 +239,60 @@ mod tests {
     }
 
     #[test]
-    fn pruning_drops_what_weighs_little_and_what_is_hidden() {
+    fn faint_samples_merge_and_hidden_ones_are_dropped() {
+        use Visibility::{Keep, Merge, Terminate};
         let pruning = Pruning::new(0.01_f64, 0.05);
-        let depths = [0.04, 1.0, 0.06, 3.0, 2.0, 0.1];
-        let mut before = 0.0;
-        let seen = depths.map(|depth| pruning.decide(&mut before, depth));
-        // Weights 0.039, 0.632, e^-1·0.058 = 0.021, e^-1·0.95 = 0.35; then the transmittance e^-4 = 0.018 bounds them.
-        assert_eq!(
-            seen,
-            [
-                Visibility::Skip,
-                Visibility::Keep,
-                Visibility::Skip,
-                Visibility::Keep,
-                Visibility::Terminate,
-                Visibility::Terminate
-            ]
-        );
-        let mut before = 2.9;
-        assert_eq!(
-            pruning.decide(&mut before, 9.0),
-            Visibility::Keep,
-            "e^-2.9 = 0.055 is enough for an opaque sample"
-        );
+        let depths = [0.04, 1.0, 0.0625, 3.0, 2.0, 0.1];
+        let mut passed = Passed::default();
+        let seen = depths.map(|depth| pruning.decide(&mut passed, depth));
+        // Weights 0.039, 1 − e^-1.04 = 0.647, e^-1.04·0.061 = 0.021, e^-1.04·0.95 = 0.34; then the transmittance e^-4.1 = 0.017
+        // bounds them.
+        assert_eq!(seen, [Merge, Keep(1.04), Merge, Keep(3.0625 / 3.0), Terminate, Terminate]);
+        let mut passed = Passed { depth: 2.9, faint: 0.0 };
+        let opaque = pruning.decide(&mut passed, 9.0);
+        assert_eq!(opaque, Keep(1.0), "e^-2.9 = 0.055 is enough for an opaque sample");
         let all = Pruning::new(0.01_f64, 0.0);
-        let mut before = 0.0;
-        let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.decide(&mut before, depth));
-        assert_eq!(seen, [Visibility::Keep, Visibility::Keep, Visibility::Keep, Visibility::Terminate]);
-        assert_eq!(Pruning::new(0.0_f32, 0.0).decide(&mut 1e30, 1.0), Visibility::Keep);
+        let mut passed = Passed::default();
+        let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.decide(&mut passed, depth));
+        assert_eq!(seen, [Keep(1.0), Keep(1.0), Keep(1.0), Terminate]);
+        let mut passed = Passed { depth: 1e30, faint: 0.0 };
+        assert_eq!(Pruning::new(0.0_f32, 0.0).decide(&mut passed, 1.0), Keep(1.0));
+    }
+
+    /// However thin a medium is cut, its samples merge to the same opacity: what is left at the end weighs less than the limit.
+    #[test]
+    fn merging_keeps_the_optical_depth_of_fog() {
+        for (count, total) in [(10_u32, 0.3), (1000, 0.3), (1000, 2.0), (100_000, 0.02)] {
+            let pruning = Pruning::new(0.0, 0.01);
+            let own = total / f64::from(count);
+            let (mut passed, mut depth, mut kept) = (Passed::default(), 0.0, 0);
+            for _ in 0..count {
+                if let Visibility::Keep(factor) = pruning.decide(&mut passed, own) {
+                    depth += factor * own;
+                    kept += 1;
+                }
+            }
+            assert!((depth - passed.depth).abs() < 1e-12 && (depth + passed.faint - total).abs() < 1e-9);
+            let lost = (-depth).exp() - (-total).exp();
+            assert!((0.0..0.01).contains(&lost), "{count} samples of {total}: {lost} is lost");
+            assert!(kept <= 100, "{kept} samples of at least 0.01");
+        }
+    }
+
+    /// The gradient of an opaque sample goes to 0, times its depth too: no rounding error may make it grow.
+    #[test]
+    fn opaque_samples_have_no_gradient() {
+        for depth in [30.0_f32, 1e3, 1e8, 1e30] {
+            let samples = [(0.3, [0.2, 0.7, 0.4], 1.0), (depth, [0.9, 0.1, 0.3], 2.0), (0.1, [0.6; 3], 3.0)];
+            let pixel = composite(samples.into_iter(), [1.0; 3]).channels();
+            let sample = |i: usize| (samples[i].0, samples[i].1);
+            composite_gradient(3, sample, pixel, [0.31, -1.27, 0.73, 0.41], |i, by_depth, _| {
+                assert!(
+                    i == 0 || (by_depth * samples[i].0).abs() < 1e-5,
+                    "depth {depth}, sample {i}: {by_depth}"
+                );
+            });
+        }
     }
 
     #[test]

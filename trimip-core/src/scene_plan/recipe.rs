@@ -29,8 +29,9 @@ const MANY_VIEWS: usize = 60;
 /// Fraction of the run in which colours of places in fewer photographs do not change with the view.
 const DIRECTION_DELAY: f64 = 0.2;
 
-/// Transmittance and weight below which a place's samples are dropped: they show less than a pixel's rounding.
-const FAINT: [f64; 2] = [0.02, 0.002];
+/// Weight up to which the samples of a ray merge, and transmittance behind which they are dropped. A step then sees about twice as
+/// many rays of an object.
+const FAINT: f64 = 0.01;
 
 /// Longest side of the box for which the density of a new model is that of its logits: Blender scenes at ±1.5 units.
 const USUAL_SIDE: f64 = 3.0;
@@ -181,24 +182,18 @@ pub(super) fn solids(context: &Context<'_>) -> Proposal {
 }
 
 pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
-    if context.now.scene.contraction == Contraction::None {
-        return Proposal::Keep("the scene is bounded".into());
+    let mut changes = vec![("renderer.min_weight", Value::Float(FAINT))];
+    let mut reason = "faint samples of a ray merge, so that a step sees more rays";
+    if context.now.scene.contraction != Contraction::None {
+        let distortion = DISTORTIONS[usize::from(context.now.field.direction_delay > 0.0)];
+        changes.push(("loss.distortion", Value::Float(distortion)));
+        reason = "rays of places end in thin surfaces; faint samples of a ray merge, so that a step sees more rays";
     }
-    let [transmittance, weight] = FAINT;
-    let distortion = DISTORTIONS[usize::from(context.now.field.direction_delay > 0.0)];
-    let mut changes = vec![
-        ("loss.distortion", Value::Float(distortion)),
-        ("renderer.min_transmittance", Value::Float(transmittance)),
-        ("renderer.min_weight", Value::Float(weight)),
-    ];
     changes.retain(|(path, _)| !context.given(path));
     if changes.is_empty() {
-        return Proposal::Keep("the distortion loss and the samples that are dropped are given".into());
+        return Proposal::Keep("the weight up to which samples merge is given".into());
     }
-    Proposal::Set {
-        reason: "rays of places end in thin surfaces; samples that show nothing are dropped, so that more rays are seen".into(),
-        changes,
-    }
+    Proposal::Set { reason: reason.into(), changes }
 }
 
 /// A place in few photographs: density before each camera could show its picture alone if colours changed with the view.

@@ -2,7 +2,7 @@
 
 fn density_of(kind: u32, x: f32) -> f32 {
     if kind == EXP {
-        return exp(x);
+        return exp(min(x, 60.0));
     }
     if kind == SOFTPLUS {
         let e = exp(-abs(x));

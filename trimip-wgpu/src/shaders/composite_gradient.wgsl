@@ -18,6 +18,7 @@ fn cone_gradient(cone: u32, gradient: vec4<f32>) {
     var behind = dot(whole, gradient);
     var transmittance = 1.0;
     var depth_before = 0.0;
+    let brightest = BRIGHTEST * dot(abs(gradient), vec4<f32>(1.0));
     for (var j = segment.x; j < segment.x + segment.y; j++) {
         let length = intervals[j].y;
         let depth = radiance[j].w * length;
@@ -26,7 +27,10 @@ fn cone_gradient(cone: u32, gradient: vec4<f32>) {
         depth_before += depth;
         transmittance = exp(-depth_before);
         behind -= weight * shade;
-        gradients[j] = vec4<f32>(gradient.rgb * weight, (transmittance * shade - behind) * length);
+        // Without the bound, a rounding error would be left where nothing shines through.
+        let most = transmittance * brightest;
+        let hidden = clamp(behind, -most, most);
+        gradients[j] = vec4<f32>(gradient.rgb * weight, (transmittance * shade - hidden) * length);
     }
 }
 

@@ -1,11 +1,11 @@
-// Pruning. `see` walks each ray front to back and marks the samples to keep. After the counts are summed, `list`
+// Pruning. `see` walks each ray front to back and marks the samples to keep, whose intervals get the lengths that they stand for. After the counts are summed, `list`
 // writes their rows. The same as `compositing::Pruning`.
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> kept: array<u32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> intervals: array<vec2<f32>>;
+@group(0) @binding(4) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(5) var<storage, read_write> old_segments: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read_write> marks: array<u32>;
 
@@ -21,15 +21,16 @@ fn see(
     }
     let segment = segments[i];
     old_segments[i] = segment;
-    var depth = 0.0;
+    var passed = Passed(0.0, 0.0);
     var count = 0u;
     for (var j = segment.x; j < segment.x + segment.y; j++) {
         let own = radiance[j].w * intervals[j].y;
-        if !is_seen(depth, own, params.max_depth, params.min_weight) {
+        let factor = stands_for(&passed, own, params.max_depth, params.min_weight);
+        if factor == 0.0 {
             marks[j] = 0u;
             continue;
         }
-        depth += own;
+        intervals[j].y *= factor;
         marks[j] = 1u;
         count += 1u;
     }

@@ -44,18 +44,20 @@ fn share(
     let segment = segments[i];
     old_segments[i] = segment;
     let shares = sure[i] == 1u;
-    var before = 0.0;
+    var passed = Passed(0.0, 0.0);
     var count = 0u;
     var group = Group(0u, 0u, 0.0, 0.0, 0.0, 0.0, 0.0);
     for (var j = segment.x; j < segment.x + segment.y; j++) {
-        let interval = intervals[j];
-        let depth = radiance[j].w * interval.y;
-        if !is_seen(before, depth, params.max_depth, params.min_weight) {
+        let before = passed.depth;
+        let factor = stands_for(&passed, radiance[j].w * intervals[j].y, params.max_depth, params.min_weight);
+        if factor == 0.0 {
             marks[j] = 0u;
             continue;
         }
+        intervals[j].y *= factor;
+        let interval = intervals[j];
+        let depth = radiance[j].w * interval.y;
         let weight = exp(-before) * alpha_of(depth);
-        before += depth;
         let sum = group.weight + weight;
         // False for NaN, which stays alone.
         if shares && group.members > 0u && sum <= params.shared_weight && interval.x - group.first_t <= params.reach {

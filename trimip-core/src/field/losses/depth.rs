@@ -77,7 +77,7 @@ pub fn depth<R: Real>(samples: &[RaySample<R>], point: [R; 2], odds: R, by_depth
     let mut hidden = total;
     walk(samples, point, |i, weight, transmittance, near| {
         hidden = hidden - weight * near;
-        by_depth[i] = slope * (transmittance * near - hidden);
+        by_depth[i] = slope * (transmittance * near - hidden.max(R::zero()).min(transmittance));
     });
     -((odds + total) / (R::one() + odds)).ln()
 }
@@ -128,6 +128,23 @@ mod tests {
         for distance in [2.0, 4.5, 1e9] {
             let value = found(&wall(3.0), distance).0;
             assert!((value - 11.0_f64.ln()).abs() < 0.05, "{distance}: {value}");
+        }
+    }
+
+    /// The gradient of an opaque sample goes to 0, times its depth too: no rounding error may make it grow.
+    #[test]
+    fn opaque_samples_have_no_gradient() {
+        let sample = |i: u32, depth| {
+            let at = 2.0 + 0.1 * i as f32;
+            RaySample { depth, t: at, length: 0.1, place: at, width: 0.1 }
+        };
+        for opaque in [30.0_f32, 1e4, 1e10] {
+            let samples = [sample(0, 0.3), sample(1, 0.07), sample(2, opaque), sample(3, 0.9)];
+            let mut by_depth = [0.0; 4];
+            depth(&samples, [2.1, 0.15], 0.1, &mut by_depth);
+            for (sample, by_depth) in samples.iter().zip(by_depth).skip(2) {
+                assert!((by_depth * sample.depth).abs() < 1e-5, "{sample:?}: {by_depth}");
+            }
         }
     }
 

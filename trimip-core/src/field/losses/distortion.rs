@@ -52,27 +52,33 @@ impl RayTerm for Distortion {
 /// The places are sorted, so sums over what lies in front of and behind a sample follow from those of its neighbour (Sun et al.
 /// 2022, DVGO v2): ∂L/∂w_i = 2·Σ_j w_j·|m_i − m_j| + ⅔·w_i·d_i. L then acts like a channel of the pixel in which a sample shows
 /// ∂L/∂w_i and the background 0, with the value Σ w_i·∂L/∂w_i = 2·L: see
-/// [`composite_gradient`](crate::math::compositing::composite_gradient).
+/// [`composite_gradient`](crate::math::compositing::composite_gradient), also for the bound of what a sample hides.
 #[inline]
 pub fn distortion<R: Real>(samples: &[RaySample<R>], mut out: impl FnMut(usize, R)) -> R {
     let (two, third) = (R::from_f64(2.0), R::from_f64(1.0 / 3.0));
     // Σ_j w_j·(m_j − m_0), and Σ_j w_j.
     let (mut value, mut behind, mut total) = (R::zero(), R::zero(), R::zero());
+    let mut widest = R::zero();
     let mut walk = Walk::new();
     for sample in samples {
+        widest = widest.max(sample.width);
         walk.advance(sample);
         value += walk.weight * (two * walk.in_front + third * walk.weight * sample.width);
         behind += walk.weight * walk.from_first;
         total += walk.weight;
     }
     let mut hidden = two * value;
+    let most_by_weight = two * (walk.from_first + widest);
     let mut walk = Walk::new();
     for (i, sample) in samples.iter().enumerate() {
         walk.advance(sample);
         behind = behind - (total - walk.before) * walk.gap;
         let by_weight = two * (walk.in_front + behind + third * walk.weight * sample.width);
         hidden = hidden - walk.weight * by_weight;
-        out(i, walk.transmittance * by_weight - hidden);
+        out(
+            i,
+            walk.transmittance * by_weight - hidden.max(R::zero()).min(walk.transmittance * most_by_weight),
+        );
     }
     value
 }
@@ -217,6 +223,20 @@ mod tests {
         for (other, factor) in [(found(&moved), 1.0), (found(&stretched), 4.0)] {
             assert!((other.0 - factor * value).abs() < 1e-14);
             assert!(other.1.iter().zip(&gradient).all(|(a, b)| (a - factor * b).abs() < 1e-14));
+        }
+    }
+
+    /// The gradient of an opaque sample goes to 0, times its depth too: no rounding error may make it grow.
+    #[test]
+    fn opaque_samples_have_no_gradient() {
+        let part =
+            |i: u32, depth| RaySample { t: 1.0, length: 0.1, depth, place: 0.137 * i as f32, width: 0.071 };
+        for depth in [30.0_f32, 1e4, 1e10] {
+            let parts = [part(0, 0.3), part(1, 0.07), part(2, depth), part(3, 0.9), part(4, 0.2)];
+            let (_, gradient) = found(&parts);
+            for (part, by_depth) in parts.iter().zip(gradient).skip(2) {
+                assert!((by_depth * part.depth).abs() < 1e-5, "{part:?}: {by_depth}");
+            }
         }
     }
 

@@ -1,25 +1,22 @@
-//! What the plan decides for places: thin surfaces, and colours that see directions late.
+//! What the plan decides for places and for objects: thin surfaces, samples that merge, and colours that see directions late.
 
 use super::{planned, views, views_of};
-use crate::Config;
 
 #[test]
-fn places_have_thin_surfaces_and_objects_keep_their_settings() {
+fn places_have_thin_surfaces_and_faint_samples_merge() {
     let of = |alpha: bool, set: &[&str]| {
         let config = planned(&views(alpha), set).unwrap().0;
-        (config.loss.distortion, config.renderer.min_transmittance, config.renderer.min_weight)
+        (config.loss.distortion, config.renderer.min_weight)
     };
-    let Config { loss, renderer, .. } = Config::default();
-    let defaults = (loss.distortion, renderer.min_transmittance, renderer.min_weight);
-    assert_eq!(of(false, &[]), (0.005, 0.02, 0.002));
+    assert_eq!(of(false, &[]), (0.005, 0.01));
     // Where colours see directions from the start, as much distortion would move density in front of the cameras.
-    assert_eq!(of(false, &["plan.direction_delay=off"]), (0.001, 0.02, 0.002));
-    assert_eq!(of(false, &["renderer.min_weight=0.01"]), (0.005, 0.02, 0.01), "what is given stays");
-    for (alpha, set) in
-        [(true, &[][..]), (false, &["scene.contraction=none"]), (false, &["plan.surfaces=off"])]
-    {
-        assert_eq!(of(alpha, set), defaults, "{set:?}");
+    assert_eq!(of(false, &["plan.direction_delay=off"]), (0.001, 0.01));
+    assert_eq!(of(false, &["renderer.min_weight=0.002"]), (0.005, 0.002), "what is given stays");
+    for (alpha, set) in [(true, &[][..]), (false, &["scene.contraction=none"])] {
+        assert_eq!(of(alpha, set), (0.0, 0.01), "{set:?}");
     }
+    assert_eq!(of(false, &["plan.surfaces=off"]), (0.0, 0.0));
+    assert_eq!(of(true, &["renderer.min_weight=0.0"]), (0.0, 0.0), "what is given stays");
 }
 
 #[test]

@@ -32,7 +32,7 @@ fn depth(cone: u32, at: u32, fraction: f32) -> f32 {
         let near = near_point(j, at);
         hidden -= exp(-x) * alpha_of(own) * near;
         x += own;
-        gradients[j].w += slope * (exp(-x) * near - hidden) * intervals[j].y;
+        gradients[j].w += slope * (exp(-x) * near - clamp(hidden, 0.0, exp(-x))) * intervals[j].y;
     }
     return -fraction * log((odds + total) / (1.0 + odds));
 }

@@ -50,13 +50,16 @@ fn distortion(cone: u32, at: u32, fraction: f32) -> f32 {
     var value = 0.0;
     var behind = 0.0;
     var total = 0.0;
+    var widest = 0.0;
     var walk = begin(first);
     for (var j = segment.x; j < end; j++) {
         walk = advance(walk, radiance[j].w * intervals[j].y, at_sample(parameterisation, ray, j));
         value += walk.weight * (2.0 * walk.in_front + walk.weight * walk.width / 3.0);
         behind += walk.weight * walk.from_first;
         total += walk.weight;
+        widest = max(widest, walk.width);
     }
+    let most_by_weight = 2.0 * (walk.from_first + widest);
     var hidden = 2.0 * value;
     walk = begin(first);
     for (var j = segment.x; j < end; j++) {
@@ -64,7 +67,8 @@ fn distortion(cone: u32, at: u32, fraction: f32) -> f32 {
         behind -= (total - walk.before) * walk.gap;
         let by_weight = 2.0 * (walk.in_front + behind + walk.weight * walk.width / 3.0);
         hidden -= walk.weight * by_weight;
-        gradients[j].w += fraction * (walk.transmittance * by_weight - hidden) * intervals[j].y;
+        let bounded = clamp(hidden, 0.0, walk.transmittance * most_by_weight);
+        gradients[j].w += fraction * (walk.transmittance * by_weight - bounded) * intervals[j].y;
     }
     return fraction * value;
 }
