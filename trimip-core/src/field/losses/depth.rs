@@ -138,8 +138,9 @@ mod tests {
             let at = 2.0 + 0.1 * i as f32;
             RaySample { depth, t: at, length: 0.1, place: at, width: 0.1 }
         };
-        for opaque in [30.0_f32, 1e4, 1e10] {
-            let samples = [sample(0, 0.3), sample(1, 0.07), sample(2, opaque), sample(3, 0.9)];
+        for (k, opaque) in (0..90_u8).zip([30.0_f32, 1e4, 1e10].into_iter().cycle()) {
+            let thin = 0.011 * f32::from(k);
+            let samples = [sample(0, thin), sample(1, 0.07), sample(2, opaque), sample(3, 0.9)];
             let mut by_depth = [0.0; 4];
             depth(&samples, [2.1, 0.15], 0.1, &mut by_depth);
             for (sample, by_depth) in samples.iter().zip(by_depth).skip(2) {

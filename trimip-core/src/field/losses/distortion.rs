@@ -231,8 +231,9 @@ mod tests {
     fn opaque_samples_have_no_gradient() {
         let part =
             |i: u32, depth| RaySample { t: 1.0, length: 0.1, depth, place: 0.137 * i as f32, width: 0.071 };
-        for depth in [30.0_f32, 1e4, 1e10] {
-            let parts = [part(0, 0.3), part(1, 0.07), part(2, depth), part(3, 0.9), part(4, 0.2)];
+        for (k, depth) in (0..90_u8).zip([30.0_f32, 1e4, 1e10].into_iter().cycle()) {
+            let thin = 0.011 * f32::from(k);
+            let parts = [part(0, thin), part(1, 0.07), part(2, depth), part(3, 0.9), part(4, 0.2)];
             let (_, gradient) = found(&parts);
             for (part, by_depth) in parts.iter().zip(gradient).skip(2) {
                 assert!((by_depth * part.depth).abs() < 1e-5, "{part:?}: {by_depth}");
