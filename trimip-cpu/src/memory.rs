@@ -5,7 +5,7 @@ use crate::mlp::BLOCK;
 use crate::worker::SAMPLES_AT_ONCE;
 use trimip_core::config::CameraPoses;
 use trimip_core::engine::batch::{Interval, Radiance, Sphere};
-use trimip_core::engine::trainer::{first_rays, longest_ray};
+use trimip_core::engine::trainer::{first_rays, most_kept};
 use trimip_core::field::networks::geometry_width;
 use trimip_core::field::params::{color_layers, density_layers};
 use trimip_core::{Config, Layout, Pixel, ViewSet, field::encoders};
@@ -69,7 +69,7 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize
         (
             "feature gradients of a step".into(),
             grown(gradient_memory.by_sample * config.train.samples_per_step as usize, GRADIENTS_GROWN)
-                .max((gradient_memory.by_sample * first_rays(config) as usize * longest_ray(config)) as u64),
+                .max((gradient_memory.by_sample * first_rays(config) as usize * most_kept(config)) as u64),
         ),
         (
             "network gradients".into(),
@@ -105,7 +105,7 @@ fn worker(config: &Config) -> u64 {
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
     let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden.max(config.field.color_hidden) as usize;
     // A ray is rendered at once, however long it is.
-    let samples = SAMPLES_AT_ONCE.max(longest_ray(config));
+    let samples = SAMPLES_AT_ONCE.max(most_kept(config));
     (AT_ONCE * (samples * row + passing) as f64) as u64
 }
 

@@ -9,7 +9,7 @@ mod state;
 mod step;
 mod sums;
 
-pub use rays::{first_rays, longest_ray};
+pub use rays::{first_rays, most_kept};
 
 use crate::{
     Backend, Camera, Config, Encoder, Error, Field, Frame, Layout, Query, Result, Session, StepReport,

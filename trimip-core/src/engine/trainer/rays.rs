@@ -15,9 +15,16 @@ pub(super) const LEAST_RAYS: u32 = 16;
 pub(super) const MOST_RAYS_PER_SAMPLE: u64 = 8;
 
 /// Most steps of a ray at the start of a run.
-pub fn longest_ray(config: &Config) -> usize {
+fn longest_ray(config: &Config) -> usize {
     let step = config.step_length() * config.renderer.step_scale.at(0.0) as f32;
     Space::<f32>::new(&config.scene).most_steps(step)
+}
+
+/// Most kept samples of a ray at the start of a run: its steps, or as many as can each have the least weight, whose sum is at most 1.
+pub fn most_kept(config: &Config) -> usize {
+    let least = config.renderer.min_weight;
+    let by_weight = if least > 0.0 { least.recip().ceil() as usize } else { usize::MAX };
+    longest_ray(config).min(by_weight)
 }
 
 /// Expected kept samples per ray of the first step.
