@@ -8,7 +8,7 @@ use crate::{
     math::scalar::Real,
 };
 
-/// The exponential of no larger number is a density: it stays finite, and a sample of it is opaque at any length.
+/// Largest argument of the exponential. The density stays finite, and a sample of it is opaque at any length.
 const MOST: f64 = 60.0;
 
 /// Map from a density logit to a density per world unit (`field.density`).
