@@ -7,7 +7,9 @@ use std::mem::offset_of;
 use trimip_core::Pixel;
 use trimip_core::config::DensityFunction;
 use trimip_core::engine::batch::{Ray, Target};
+use trimip_core::field::activation::LARGEST_ARGUMENT;
 use trimip_core::geometry::camera::FARTHEST_APEX;
+use trimip_core::math::compositing::BRIGHTEST;
 use trimip_core::math::sh::FACTORS;
 
 /// Cells along a side of a block of the occupancy grid, and blocks along a side of a block of blocks.
@@ -58,15 +60,17 @@ pub const BLOCKS: Source = Parts(&[Source::whole("SIDE", SIDE), Text(include_str
 pub const SEGMENTS: Source = Text(include_str!("shaders/segments.wgsl"));
 
 /// Opacity of a sample.
-pub const COMPOSITING: Source = Text(include_str!("shaders/compositing.wgsl"));
+pub const COMPOSITING: Source =
+    Parts(&[Source::real("BRIGHTEST", BRIGHTEST as f32), Text(include_str!("shaders/compositing.wgsl"))]);
 
-/// Whether a sample is visible.
+/// Which samples of a ray are kept.
 pub const PRUNING: Source = Text(include_str!("shaders/pruning.wgsl"));
 
 /// Functions of the outputs of networks.
 pub const ACTIVATION: Source = Parts(&[
     Source::whole("EXP", DensityFunction::Exp as u32),
     Source::whole("SOFTPLUS", DensityFunction::Softplus as u32),
+    Source::real("LARGEST_ARGUMENT", LARGEST_ARGUMENT as f32),
     Text(include_str!("shaders/activation.wgsl")),
 ]);
 

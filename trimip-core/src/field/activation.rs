@@ -9,7 +9,7 @@ use crate::{
 };
 
 /// Largest argument of the exponential. The density stays finite, and a sample of it is opaque at any length.
-const MOST: f64 = 60.0;
+pub const LARGEST_ARGUMENT: f64 = 60.0;
 
 /// Map from a density logit to a density per world unit (`field.density`).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +34,7 @@ impl Density {
     pub fn value<R: Real>(&self, logit: R) -> R {
         let x = logit - R::from_f64(self.shift);
         let density = match self.kind {
-            DensityFunction::Exp => x.min(R::from_f64(MOST)).exp(),
+            DensityFunction::Exp => x.min(R::from_f64(LARGEST_ARGUMENT)).exp(),
             DensityFunction::Softplus => softplus(x),
             DensityFunction::Relu => x.max(R::zero()),
         };

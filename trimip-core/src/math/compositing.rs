@@ -23,7 +23,7 @@ impl<R: Real> Composite<R> {
 }
 
 /// No colour is brighter than this: a field without networks can have colours above 1.
-const BRIGHTEST: f64 = 1024.0;
+pub const BRIGHTEST: f64 = 1024.0;
 
 /// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
 /// α by `exp_m1`: thin samples keep their relative accuracy.
@@ -33,8 +33,8 @@ pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
     (transmittance * alpha, transmittance * (-depth).exp())
 }
 
-/// Which samples are dropped before their colour is computed: those behind what is opaque, and faint ones, which merge with the
-/// next one of their ray.
+/// Selects the samples that get a colour. Samples behind an opaque one are dropped. A faint sample merges with the next sample of
+/// its ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pruning<R> {
     /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance, or of the minimum
@@ -48,9 +48,9 @@ pub struct Pruning<R> {
 /// The optical depths that a ray has passed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Passed<R> {
-    /// That of the kept samples, with what they stand for.
+    /// Optical depth of the kept samples, merged ones included.
     pub depth: R,
-    /// That of the dropped ones that the next kept one stands for.
+    /// Optical depth of the faint samples since the last kept one. They merge with the next kept one.
     pub faint: R,
 }
 
@@ -127,8 +127,9 @@ pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, backgro
 /// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is the
 /// fourth channel, 1 for every sample and 0 for the background.
 ///
-/// What a sample hides is the pixel minus what lies in front, which leaves a rounding error where nothing shines through. It is
-/// bounded by the transmittance: otherwise the density of an opaque sample, times that error, would grow without end.
+/// The sum behind a sample is computed by subtraction, which leaves a rounding error behind an opaque sample. The true sum is at most
+/// the transmittance times the brightest colour, and the computed one is clamped to this bound. Without the bound, an opaque sample has
+/// a gradient of that error times its density.
 #[inline]
 pub fn composite_gradient<R: Real>(
     count: usize,

@@ -2,7 +2,7 @@
 
 fn density_of(kind: u32, x: f32) -> f32 {
     if kind == EXP {
-        return exp(min(x, 60.0));
+        return exp(min(x, LARGEST_ARGUMENT));
     }
     if kind == SOFTPLUS {
         let e = exp(-abs(x));

@@ -1,8 +1,5 @@
 // The same as `trimip_core::math::compositing`.
 
-// No colour is brighter than this.
-const BRIGHTEST: f32 = 1024.0;
-
 // 1 - exp(-x), with a small relative error for thin samples too.
 fn alpha_of(x: f32) -> f32 {
     if abs(x) < 0.25 {
