@@ -1,46 +1,40 @@
 //! A flat array aligned to a cache line, so that a row of 16 features is one line and one vector register.
 
-use bytemuck::{Pod, Zeroable};
+use crate::pages::{Line, Lines};
+use bytemuck::Pod;
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 
-#[repr(C, align(64))]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct Line([u8; 64]);
-
 /// Values on the CPU. The memory grows and never shrinks.
 pub struct Buffer<T> {
-    lines: Vec<Line>,
+    lines: Lines,
     length: usize,
     values: PhantomData<T>,
 }
 
 impl<T> Default for Buffer<T> {
     fn default() -> Self {
-        Self { lines: Vec::new(), length: 0, values: PhantomData }
+        Self { lines: Lines::zeros(0), length: 0, values: PhantomData }
     }
 }
 
 impl<T: Pod> Buffer<T> {
     /// Creates a buffer of `length` zeros.
     pub fn zeros(length: usize) -> Self {
-        let lines = vec![Line([0; 64]); (length * size_of::<T>()).div_ceil(64)];
+        let lines = Lines::zeros((length * size_of::<T>()).div_ceil(size_of::<Line>()));
         Self { lines, length, values: PhantomData }
     }
 
     /// Changes the length. Old values are kept; new ones are arbitrary earlier values or zero.
     pub fn resize(&mut self, length: usize) {
-        let lines = (length * size_of::<T>()).div_ceil(64);
-        if lines > self.lines.len() {
-            self.lines.resize(lines, Line([0; 64]));
-        }
+        self.lines.grow((length * size_of::<T>()).div_ceil(size_of::<Line>()));
         self.length = length;
     }
 
     /// Appends one value.
     pub fn push(&mut self, value: T) {
         let length = self.length;
-        if (length + 1) * size_of::<T>() > self.lines.len() * 64 {
+        if (length + 1) * size_of::<T>() > size_of_val(&*self.lines) {
             self.resize((2 * length).max(64));
         }
         self.length = length + 1;
@@ -131,5 +125,22 @@ mod tests {
         assert_eq!(buffer.as_ptr() as usize % 64, 0);
         buffer.keep_rows(&[1, 5, 999], 1);
         assert_eq!(&buffer[..], &[[1.0; 3], [5.0; 3], [999.0; 3]]);
+    }
+
+    #[test]
+    fn buffers_of_many_pages_grow_like_small_ones() {
+        for first in [0, 1, 1_000_000, 3_000_000] {
+            let mut buffer = Buffer::<u32>::zeros(first);
+            assert!(buffer.iter().all(|value| *value == 0));
+            buffer.iter_mut().zip(0..).for_each(|(value, i)| *value = i);
+            for length in [first + 1, 1_048_577, 2_000_000, 9_000_001] {
+                buffer.resize(length);
+                assert_eq!(buffer.len(), length);
+                assert!(
+                    buffer.iter().zip(0..).all(|(&value, i)| value == if i < first as u32 { i } else { 0 })
+                );
+                assert_eq!(buffer.as_ptr() as usize % 64, 0);
+            }
+        }
     }
 }

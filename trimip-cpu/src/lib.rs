@@ -40,6 +40,7 @@ mod memory;
 mod mlp;
 mod occupancy;
 mod optimizer;
+mod pages;
 mod poses;
 mod reduction_tree;
 mod renderer;

@@ -32,12 +32,14 @@ pub(crate) fn filled(
     pixels: usize,
     fill: impl FnOnce(&mut [[u8; 4]]) -> Result<()>,
 ) -> Result<Pixels> {
-    if !on_disk || pixels == 0 {
-        let mut own: Vec<[u8; 4]> = Vec::new();
-        own.try_reserve_exact(pixels).map_err(|_| too_large())?;
-        own.resize(pixels, [0; 4]);
-        fill(&mut own)?;
-        return Ok(own.into());
+    if pixels == 0 {
+        fill(&mut [])?;
+        return Ok(Pixels::default());
+    }
+    if !on_disk {
+        let mut map = in_memory(pixels).map_err(|_| too_large())?;
+        fill(map.as_chunks_mut().0)?;
+        return Ok(Pixels::in_memory_of(Written(map)));
     }
     let mut map = reserve(pixels).map_err(|error| {
         let needed = format!("{:.1} GB", 4e-9 * pixels as f64);
@@ -54,6 +56,16 @@ pub(crate) fn filled(
     fill(map.as_chunks_mut().0)?;
     let map = map.make_read_only().map_err(|error| Error::run(format!("photographs on disk: {error}")))?;
     Ok(Pixels::elsewhere(Mapped(map)))
+}
+
+/// Memory of zeros. Training reads single pixels of all photographs at random, so large pages are asked for where the system has
+/// them: with small ones most of these reads wait for the page table.
+fn in_memory(pixels: usize) -> std::io::Result<MmapMut> {
+    let map = MmapMut::map_anon(pixels.checked_mul(4).ok_or(std::io::ErrorKind::OutOfMemory)?)?;
+    // Small pages hold the same pixels.
+    #[cfg(target_os = "linux")]
+    let _ = map.advise(memmap2::Advice::HugePage);
+    Ok(map)
 }
 
 /// Maps a file of zeros that vanishes with this process. Its space is reserved by writing it: a full disk is an error here
@@ -75,6 +87,15 @@ fn reserve(pixels: usize) -> std::io::Result<MmapMut> {
 struct Mapped(Mmap);
 
 impl AsRef<[[u8; 4]]> for Mapped {
+    fn as_ref(&self) -> &[[u8; 4]] {
+        self.0.as_chunks().0
+    }
+}
+
+/// Pixels in memory of their own.
+struct Written(MmapMut);
+
+impl AsRef<[[u8; 4]]> for Written {
     fn as_ref(&self) -> &[[u8; 4]] {
         self.0.as_chunks().0
     }

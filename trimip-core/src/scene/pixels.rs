@@ -16,20 +16,30 @@ pub struct Pixels(Storage);
 #[derive(Clone)]
 enum Storage {
     Memory(Vec<[u8; 4]>),
-    Elsewhere(Arc<dyn Holder>),
+    /// In memory of `holder`'s own, or in none.
+    Elsewhere {
+        holder: Arc<dyn Holder>,
+        in_memory: bool,
+    },
 }
 
 impl Pixels {
     /// Pixels that `holder` holds, whose bytes are not this process's memory.
     pub fn elsewhere(holder: impl Holder + 'static) -> Self {
-        Self(Storage::Elsewhere(Arc::new(holder)))
+        Self(Storage::Elsewhere { holder: Arc::new(holder), in_memory: false })
+    }
+
+    /// Pixels in memory of this process that `holder` has reserved by itself.
+    pub fn in_memory_of(holder: impl Holder + 'static) -> Self {
+        Self(Storage::Elsewhere { holder: Arc::new(holder), in_memory: true })
     }
 
     /// Bytes of this process's memory.
     pub fn bytes_in_memory(&self) -> usize {
         match &self.0 {
             Storage::Memory(pixels) => size_of_val(pixels.as_slice()),
-            Storage::Elsewhere(_) => 0,
+            Storage::Elsewhere { holder, in_memory: true } => size_of_val(holder.as_ref().as_ref()),
+            Storage::Elsewhere { in_memory: false, .. } => 0,
         }
     }
 
@@ -39,12 +49,12 @@ impl Pixels {
     }
 
     fn in_memory(&mut self) -> &mut Vec<[u8; 4]> {
-        if let Storage::Elsewhere(holder) = &self.0 {
+        if let Storage::Elsewhere { holder, .. } = &self.0 {
             self.0 = Storage::Memory(holder.as_ref().as_ref().to_vec());
         }
         match &mut self.0 {
             Storage::Memory(pixels) => pixels,
-            Storage::Elsewhere(_) => unreachable!("they were copied"),
+            Storage::Elsewhere { .. } => unreachable!("they were copied"),
         }
     }
 }
@@ -80,7 +90,7 @@ impl Deref for Pixels {
     fn deref(&self) -> &[[u8; 4]] {
         match &self.0 {
             Storage::Memory(pixels) => pixels,
-            Storage::Elsewhere(holder) => holder.as_ref().as_ref(),
+            Storage::Elsewhere { holder, .. } => holder.as_ref().as_ref(),
         }
     }
 }
@@ -111,14 +121,15 @@ mod tests {
     fn pixels_elsewhere_are_the_same_pixels_and_are_copied_to_be_changed() {
         let own = vec![[1, 2, 3, 4], [5, 6, 7, 8]];
         let here = Pixels::from(own.clone());
-        let there = Pixels::elsewhere(own);
-        assert_eq!(here, there);
-        assert_eq!((here.bytes_in_memory(), there.bytes_in_memory()), (8, 0));
-        let mut changed = there.clone();
-        changed[1][0] = 9;
-        changed.push([0; 4]);
-        changed.extend([[7; 4]]);
-        assert_eq!(*changed, [[1, 2, 3, 4], [9, 6, 7, 8], [0; 4], [7; 4]]);
-        assert_eq!((there.len(), changed.bytes_in_memory()), (2, 16));
+        for (there, bytes) in [(Pixels::elsewhere(own.clone()), 0), (Pixels::in_memory_of(own), 8)] {
+            assert_eq!(here, there);
+            assert_eq!((here.bytes_in_memory(), there.bytes_in_memory()), (8, bytes));
+            let mut changed = there.clone();
+            changed[1][0] = 9;
+            changed.push([0; 4]);
+            changed.extend([[7; 4]]);
+            assert_eq!(*changed, [[1, 2, 3, 4], [9, 6, 7, 8], [0; 4], [7; 4]]);
+            assert_eq!((there.len(), changed.bytes_in_memory()), (2, 16));
+        }
     }
 }
