@@ -13,7 +13,7 @@ use trimip_core::engine::batch::{
 };
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::Guide;
-use trimip_core::math::compositing::{Passed, Visibility, composite, composite_gradient};
+use trimip_core::math::compositing::{Visibility, composite, composite_gradient};
 use trimip_core::{Config, Pixel, Renderer, Result};
 
 /// The renderer: its policy, and what chooses the samples of pictures.
@@ -76,7 +76,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
         kept.clear();
         for segment in samples.segments.iter_mut() {
             let start = kept.len() as u32;
-            let mut passed = Passed::default();
+            let mut passed = self.policy.pruning.behind(0.0);
             for i in segment.start..segment.start + segment.count {
                 let length = &mut samples.intervals[i as usize].length;
                 let own = radiance[i as usize].density * *length;

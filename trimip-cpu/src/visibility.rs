@@ -13,7 +13,7 @@ use crate::{CpuBackend, CpuField, WorkerScratch};
 use trimip_core::engine::backend::Stages;
 use trimip_core::engine::batch::{Interval, Radiance, Rays, Samples, Segment, Sphere, Tile, Workspace};
 use trimip_core::engine::policy::RendererPolicy;
-use trimip_core::math::compositing::{Passed, Pruning, Visibility};
+use trimip_core::math::compositing::{Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
 /// Samples per ray that are evaluated at once, at most.
@@ -119,7 +119,7 @@ impl Scratch {
         self.walkers.extend(rays.rays.iter().zip(0..).map(|(ray, index)| Walker {
             ray: index,
             cursor: Cursor::new(policy, ray, jitter, rays.first + index),
-            passed: Passed::default(),
+            passed: policy.pruning.behind(0.0),
             out: false,
         }));
     }

@@ -46,12 +46,14 @@ pub struct Pruning<R> {
 }
 
 /// The optical depths that a ray has passed.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Passed<R> {
     /// Optical depth of the kept samples, merged ones included.
     pub depth: R,
     /// Optical depth of the faint samples since the last kept one. They merge with the next kept one.
     pub faint: R,
+    /// Optical depth from which on samples are not faint: that of the least weight behind `depth`.
+    least: R,
 }
 
 /// Decision about a sample.
@@ -71,6 +73,14 @@ impl<R: Real> Pruning<R> {
         Self { max_depth: -min_transmittance.max(min_weight).ln(), min_weight }
     }
 
+    /// What a ray has passed that has kept samples of the optical depth `depth`; 0 at its start.
+    #[inline]
+    pub fn behind(&self, depth: R) -> Passed<R> {
+        // T·(1 − exp(−x)) = min_weight, solved for x, with T = exp(−depth).
+        let least = -(-self.min_weight * depth.exp()).ln_1p();
+        Passed { depth, faint: R::zero(), least }
+    }
+
     /// Decides about a sample of optical depth `depth`, and adds it to what the ray has passed.
     #[inline]
     pub fn decide(&self, passed: &mut Passed<R>, depth: R) -> Visibility<R> {
@@ -79,12 +89,12 @@ impl<R: Real> Pruning<R> {
         }
         let all = passed.faint + depth;
         // The comparison is false for NaN: such a sample is kept, and the step reports it.
-        if self.min_weight > R::zero() && weight((-passed.depth).exp(), all).0 < self.min_weight {
+        if all < passed.least {
             passed.faint = all;
             return Visibility::Merge;
         }
         let factor = if passed.faint > R::zero() { all / depth } else { R::one() };
-        *passed = Passed { depth: passed.depth + all, faint: R::zero() };
+        *passed = self.behind(passed.depth + all);
         Visibility::Keep(factor)
     }
 }
@@ -244,20 +254,20 @@ mod tests {
         use Visibility::{Keep, Merge, Terminate};
         let pruning = Pruning::new(0.01_f64, 0.05);
         let depths = [0.04, 1.0, 0.0625, 3.0, 2.0, 0.1];
-        let mut passed = Passed::default();
+        let mut passed = pruning.behind(0.0);
         let seen = depths.map(|depth| pruning.decide(&mut passed, depth));
         // Weights 0.039, 1 − e^-1.04 = 0.647, e^-1.04·0.061 = 0.021, e^-1.04·0.95 = 0.34; then the transmittance e^-4.1 = 0.017
         // bounds them.
         assert_eq!(seen, [Merge, Keep(1.04), Merge, Keep(3.0625 / 3.0), Terminate, Terminate]);
-        let mut passed = Passed { depth: 2.9, faint: 0.0 };
+        let mut passed = pruning.behind(2.9);
         let opaque = pruning.decide(&mut passed, 9.0);
         assert_eq!(opaque, Keep(1.0), "e^-2.9 = 0.055 is enough for an opaque sample");
         let all = Pruning::new(0.01_f64, 0.0);
-        let mut passed = Passed::default();
+        let mut passed = all.behind(0.0);
         let seen = [0.0, 4.0, 0.7, 1.0].map(|depth| all.decide(&mut passed, depth));
         assert_eq!(seen, [Keep(1.0), Keep(1.0), Keep(1.0), Terminate]);
-        let mut passed = Passed { depth: 1e30, faint: 0.0 };
-        assert_eq!(Pruning::new(0.0_f32, 0.0).decide(&mut passed, 1.0), Keep(1.0));
+        let all = Pruning::new(0.0_f32, 0.0);
+        assert_eq!(all.decide(&mut all.behind(1e30), 1.0), Keep(1.0));
     }
 
     /// However thin a medium is cut, its samples merge to the same opacity: what is left at the end weighs less than the limit.
@@ -266,7 +276,7 @@ mod tests {
         for (count, total) in [(10_u32, 0.3), (1000, 0.3), (1000, 2.0), (100_000, 0.02)] {
             let pruning = Pruning::new(0.0, 0.01);
             let own = total / f64::from(count);
-            let (mut passed, mut depth, mut kept) = (Passed::default(), 0.0, 0);
+            let (mut passed, mut depth, mut kept) = (pruning.behind(0.0), 0.0, 0);
             for _ in 0..count {
                 if let Visibility::Keep(factor) = pruning.decide(&mut passed, own) {
                     depth += factor * own;
