@@ -93,7 +93,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         let (policy, Some(views)) = (&self.policy, &self.views) else { return };
         let (scale_weights, random_background) = (policy.scale_weights(), policy.random_background());
         // Random pixels are not in any cache: several are prefetched before the first is read.
-        let mut drawn = [Drawn { scale: 0, pixel: 0, importance: 1.0 }; AHEAD];
+        let mut drawn = [Drawn { scale: 0, view: 0, pixel: 0, importance: 1.0 }; AHEAD];
         for (slot, index) in range.clone().enumerate() {
             if slot % AHEAD == 0 {
                 for (drawn, index) in drawn.iter_mut().zip(index..range.end) {
@@ -101,15 +101,14 @@ impl Sampler<CpuBackend> for CpuSampler {
                     fetch(&raw const views.pixels[drawn.pixel]);
                 }
             }
-            let Drawn { scale, pixel, importance } = drawn[slot % AHEAD];
+            let Drawn { scale, view: place, pixel, importance } = drawn[slot % AHEAD];
             let pattern = allocation.patterns()[scale];
             let mut weight = scale_weights.weight(scale) * importance;
             let exponent = policy.exponents[scale];
             let scale = &views.scales[scale];
-            let in_scale = &views.views[scale.views.clone()];
-            let place = in_scale.partition_point(|view| view.offset <= pixel) - 1;
-            let view = &in_scale[place];
-            if let Some(&photograph) = policy.photographs.get(scale.views.start + place) {
+            let place = scale.views.start + place;
+            let view = &views.views[place];
+            if let Some(&photograph) = policy.photographs.get(place) {
                 rays.photographs.push(photograph);
             }
             let within = (pixel - view.offset) as u32;
@@ -150,11 +149,20 @@ impl Sampler<CpuBackend> for CpuSampler {
         pixel_gradients: &Buffer<[f32; 4]>,
     ) {
         let Some(map) = self.policy.error_map() else { return };
-        for ((index, target), gradient) in range.zip(rays.targets.iter()).zip(pixel_gradients.iter()) {
-            if target.weight > 0.0 {
-                let [error, count] = &self.errors[self.policy.cell(map, step, index)];
-                error.fetch_add((error_of(*gradient, target.weight) * UNIT) as u64, Relaxed);
-                count.fetch_add(1, Relaxed);
+        // The cells are as random as the pixels.
+        let mut cells = [0; AHEAD];
+        let tiles = rays.targets.chunks(AHEAD).zip(pixel_gradients.chunks(AHEAD));
+        for (first, (targets, gradients)) in range.step_by(AHEAD).zip(tiles) {
+            for (cell, index) in cells[..targets.len()].iter_mut().zip(first..) {
+                *cell = self.policy.cell(map, step, index);
+                fetch(&raw const self.errors[*cell]);
+            }
+            for ((target, gradient), cell) in targets.iter().zip(gradients).zip(cells) {
+                if target.weight > 0.0 {
+                    let [error, count] = &self.errors[cell];
+                    error.fetch_add((error_of(*gradient, target.weight) * UNIT) as u64, Relaxed);
+                    count.fetch_add(1, Relaxed);
+                }
             }
         }
     }

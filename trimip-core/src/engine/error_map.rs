@@ -48,6 +48,8 @@ pub struct Grid {
 pub struct Drawn {
     /// Scale.
     pub scale: usize,
+    /// Index of its view among those of the scale.
+    pub view: usize,
     /// Index among all pixels of the views.
     pub pixel: usize,
     /// Probability of the pixel if its scale were drawn from evenly, relative to the one that it has.
@@ -65,6 +67,41 @@ pub struct ErrorMap {
     sums: Vec<[f32; 2]>,
     /// The random number from which each cell is drawn: the first is 0. The last ends at 2^32.
     starts: Vec<u32>,
+    guide: Guide,
+}
+
+/// Where to look for the cell of a random number (Chen and Asau 1974): random numbers are divided into equal parts, about as many as
+/// there are cells.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Guide {
+    /// The cell of the first number of each part.
+    cells: Vec<u32>,
+    /// A number without so many of its lowest bits is the index of its part.
+    shift: u32,
+}
+
+impl Guide {
+    fn new(starts: &[u32]) -> Self {
+        let parts = starts.len().next_power_of_two().max(2);
+        let shift = u32::BITS - parts.ilog2();
+        let mut cell = 0;
+        let first_of = |part: usize| {
+            while starts.get(cell as usize + 1).is_some_and(|&start| start <= (part as u32) << shift) {
+                cell += 1;
+            }
+            cell
+        };
+        Self { cells: (0..parts).map(first_of).collect(), shift }
+    }
+
+    /// The last of the `starts` that is at most `bits`.
+    #[inline]
+    fn find(&self, starts: &[u32], bits: u32) -> usize {
+        let part = (bits >> self.shift) as usize;
+        let first = self.cells[part] as usize;
+        let end = self.cells.get(part + 1).map_or(starts.len(), |&next| next as usize + 1);
+        first + starts[first + 1..end].partition_point(|&start| start <= bits)
+    }
 }
 
 /// The pixels `begin..end` of the part `part` of `parts` along a side of `pixels` pixels.
@@ -123,7 +160,13 @@ impl ErrorMap {
         while cells(&divided(side)) > MOST_CELLS.max(count as u64) {
             side *= 2;
         }
-        let mut map = Self { grids: Vec::new(), areas: Vec::new(), sums: Vec::new(), starts: Vec::new() };
+        let mut map = Self {
+            grids: Vec::new(),
+            areas: Vec::new(),
+            sums: Vec::new(),
+            starts: Vec::new(),
+            guide: Guide::default(),
+        };
         for (view, [columns, rows]) in views.views[finest.views.clone()].iter().zip(divided(side)) {
             map.grids.push(Grid { first: map.areas.len() as u32, size: [columns, rows] });
             let [width, height] = size(view);
@@ -189,17 +232,19 @@ impl ErrorMap {
             before +=
                 (1.0 - fraction) * f64::from(own) / area + fraction * weight / all.max(f64::MIN_POSITIVE);
         }
+        self.guide = Guide::new(&self.starts);
     }
 
     /// The cell that a random number draws.
     #[inline]
     pub fn cell(&self, bits: u32) -> usize {
-        self.starts.partition_point(|&start| start <= bits) - 1
+        self.guide.find(&self.starts, bits)
     }
 
-    /// The pixel that random numbers draw from the views of a scale, which has `count` pixels.
+    /// The pixel that random numbers draw from the views of a scale, which has `count` pixels: its view, its index, and its
+    /// importance.
     #[inline]
-    pub fn draw(&self, views: &[View], count: usize, bits: [u32; 4]) -> (usize, f32) {
+    pub fn draw(&self, views: &[View], count: usize, bits: [u32; 4]) -> (usize, usize, f32) {
         let cell = self.cell(bits[0]);
         let photograph = self.grids.partition_point(|grid| grid.first as usize <= cell) - 1;
         let (grid, view) = (self.grids[photograph], &views[photograph]);
@@ -215,7 +260,7 @@ impl ErrorMap {
             None => (u64::from(u32::MAX) + 1 - u64::from(self.starts[cell])) as f32,
         };
         let area = ((right - left) * (bottom - top)) as f32;
-        (view.offset + (y * size[0] + x) as usize, area / width * per_pixel(count))
+        (photograph, view.offset + (y * size[0] + x) as usize, area / width * per_pixel(count))
     }
 
     /// Adds everything that training needs to go on; `pending` are the errors since the last update.
@@ -247,7 +292,8 @@ impl ErrorMap {
                 "the file is damaged; give --fresh to start the run anew",
             ));
         }
-        Ok((Self { sums, starts, ..self.clone() }, pending.as_chunks().0.to_vec()))
+        let guide = Guide::new(&starts);
+        Ok((Self { sums, starts, guide, ..self.clone() }, pending.as_chunks().0.to_vec()))
     }
 }
 
@@ -314,8 +360,9 @@ mod tests {
             let (mut found, mut importances) = (vec![0; count], vec![0.0; count]);
             let random = Random::new(3).at(Sequence::Pixel, 5);
             for index in 0..draws {
-                let (pixel, importance) =
+                let (view, pixel, importance) =
                     map.draw(&views.views[scale.views.clone()], count, random.bits(index));
+                assert_eq!(views.views[scale.views.clone()].partition_point(|v| v.offset <= pixel) - 1, view);
                 let own = pixel - scale.pixels.start;
                 found[own] += 1;
                 importances[own] = f64::from(importance);
@@ -326,6 +373,25 @@ mod tests {
                     (f64::from(found) - expected).abs() < 5.5 * expected.sqrt(),
                     "{pixel}: {found}, not {expected}"
                 );
+            }
+        }
+    }
+
+    #[test]
+    fn a_cell_is_the_last_that_starts_before_its_number() {
+        let random = Random::new(4).at(Sequence::Pixel, 1);
+        for count in [1, 2, 3, 64, 1000] {
+            // From numbers side by side to gaps of many parts.
+            let mut starts: Vec<u32> = (0..count).map(|i| random.bits(i)[0] >> (i % 29)).collect();
+            starts[0] = 0;
+            starts.sort_unstable();
+            starts.dedup();
+            let guide = Guide::new(&starts);
+            let near =
+                starts.iter().flat_map(|&start| [start.saturating_sub(1), start, start.saturating_add(1)]);
+            for bits in near.chain((0..500).map(|i| random.bits(i)[1])).chain([0, u32::MAX]) {
+                let expected = starts.iter().rposition(|&start| start <= bits).unwrap();
+                assert_eq!(guide.find(&starts, bits), expected, "{bits} among {count}");
             }
         }
     }

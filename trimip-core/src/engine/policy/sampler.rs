@@ -110,11 +110,12 @@ impl SamplerPolicy {
         match &self.error_map {
             None => {
                 let pixel = pixels.start + below(bits[0], pixels.len() as u32) as usize;
-                Drawn { scale, pixel, importance: 1.0 }
+                let view = views[of_scale.clone()].partition_point(|view| view.offset <= pixel) - 1;
+                Drawn { scale, view, pixel, importance: 1.0 }
             }
             Some(map) => {
-                let (pixel, importance) = map.draw(&views[of_scale.clone()], pixels.len(), bits);
-                Drawn { scale, pixel, importance }
+                let (view, pixel, importance) = map.draw(&views[of_scale.clone()], pixels.len(), bits);
+                Drawn { scale, view, pixel, importance }
             }
         }
     }
@@ -167,8 +168,8 @@ mod tests {
         let draw = policy.scale_weights().allocate(4000);
         let mut counts = [0; 80];
         for index in 0..4000 {
-            let Drawn { scale, pixel, importance } = policy.pixel(&views().views, 3, &draw, index);
-            assert_eq!(importance, 1.0);
+            let Drawn { scale, view, pixel, importance } = policy.pixel(&views().views, 3, &draw, index);
+            assert_eq!((view, importance), (0, 1.0), "each scale has one view");
             assert!(policy.scales[scale].pixels.contains(&pixel), "{index}");
             counts[pixel] += 1;
         }
