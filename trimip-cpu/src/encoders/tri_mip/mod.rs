@@ -7,7 +7,7 @@ mod scatter;
 
 use self::division::Division;
 use self::extents::Extents;
-use self::scatter::{Gradient, Scratch, Sort};
+use self::scatter::{Gradient, Place, Scratch, Sort};
 use super::bands::{BANDS, Extent};
 use super::{Divided, Encoding, GradientMemory, Piece, Places};
 use crate::buffer::{Buffer, take, take_mut};
@@ -71,7 +71,7 @@ impl Encoding for Planes {
     }
 
     fn gradient(&self) -> Gradient {
-        Gradient { spheres: Buffer::zeros(0), rows: Buffer::zeros(0), bands: vec![Vec::new(); 3 * BANDS] }
+        Gradient { places: Buffer::zeros(0), rows: Buffer::zeros(0), bands: vec![Vec::new(); 3 * BANDS] }
     }
 
     fn grow(&mut self, stage: u32) {
@@ -101,17 +101,18 @@ impl Encoding for Planes {
     }
 
     fn backward(&self, at: Places<'_>, _: &[f32], rows: &[f32], stride: usize, gradient: &mut Gradient) {
-        let spheres = at.spheres;
-        let (first, count) = (gradient.spheres.len(), spheres.len());
-        gradient.spheres.resize(first + count);
-        gradient.spheres[first..].copy_from_slice(spheres);
+        let (first, count) = (gradient.places.len(), at.spheres.len());
+        gradient.places.resize(first + count);
+        let places = &mut gradient.places[first..];
+        places.iter_mut().zip(at.spheres).for_each(|(place, sphere)| *place = sphere.into());
         gradient.rows.resize((first + count) * FEATURES);
         let kept = gradient.rows[first * FEATURES..].chunks_exact_mut(FEATURES);
         for (kept, row) in kept.zip(rows.chunks_exact(stride)) {
             kept.copy_from_slice(&row[..FEATURES]);
         }
-        let (Self { pyramid, division, .. }, bands) = (self, &mut gradient.bands);
-        self.simd.run(Sort { pyramid, division, spheres, first: first as u32, bands });
+        let Self { pyramid, division, .. } = self;
+        let (places, bands) = (&gradient.places[first..], &mut gradient.bands);
+        self.simd.run(Sort { pyramid, division, places, first: first as u32, bands });
     }
 
     fn reduce(&mut self, gradients: &mut [&mut Gradient], parameter_gradient: &mut [f32]) {
@@ -125,22 +126,22 @@ impl Encoding for Planes {
             self.pull(parameter_gradient);
         }
         for gradient in gradients {
-            gradient.spheres.clear();
+            gradient.places.clear();
             gradient.rows.clear();
             gradient.bands.iter_mut().for_each(Vec::clear);
         }
     }
 
     fn put(&self, gradient: &Gradient, out: &mut Vec<u8>) {
-        put_counted(out, &gradient.spheres);
+        put_counted(out, &gradient.places);
         put_counted(out, &gradient.rows);
         gradient.bands.iter().for_each(|band| put_counted(out, band));
     }
 
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Gradient) -> Result<()> {
-        from.buffer(&mut gradient.spheres)?;
+        from.buffer(&mut gradient.places)?;
         from.buffer(&mut gradient.rows)?;
-        let samples = gradient.spheres.len();
+        let samples = gradient.places.len();
         from.expect("gradients", gradient.rows.len(), samples * FEATURES)?;
         gradient.bands.iter_mut().try_for_each(|band| from.indices(band, samples))
     }
@@ -151,7 +152,7 @@ impl Encoding for Planes {
 
     fn gradient_memory(_: &Config) -> GradientMemory {
         // A sample stores its gradient, its sphere, and its index in the lists of the bands that it touches.
-        let by_sample = size_of::<[f32; FEATURES]>() + size_of::<Sphere>() + 3 * 2 * size_of::<u32>();
+        let by_sample = size_of::<[f32; FEATURES]>() + size_of::<Place>() + 3 * 2 * size_of::<u32>();
         GradientMemory { by_sample, by_partial: 3 * BANDS * size_of::<Vec<u32>>() }
     }
 

@@ -9,6 +9,7 @@ use crate::encoders::bands::{BANDS, Extent};
 use crate::reduction_tree::{ReductionTree, halves};
 use crate::simd::{Kernel, Lanes, Simd};
 use crate::wire::{Reader, put};
+use bytemuck::{Pod, Zeroable};
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 use trimip_core::Result;
@@ -18,12 +19,27 @@ use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyra
 
 /// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
 pub(crate) struct Gradient {
-    /// Position and radius of each sample.
-    pub spheres: Buffer<Sphere>,
+    /// Where each sample reads.
+    pub places: Buffer<Place>,
     /// Feature gradient of each sample, [samples, 48].
     pub rows: Buffer<f32>,
     /// Sample indices by plane and band, in sample order.
     pub bands: Vec<Vec<u32>>,
+}
+
+/// Where a sample reads the planes.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct Place {
+    position: [f32; 3],
+    /// Every band that the sample touches asks for its levels.
+    log2_radius: f32,
+}
+
+impl From<&Sphere> for Place {
+    fn from(sphere: &Sphere) -> Self {
+        Self { position: sphere.position, log2_radius: sphere.radius.log2() }
+    }
 }
 
 /// The rows of one band of one plane, on all levels.
@@ -135,8 +151,8 @@ pub struct Sort<'a> {
     pub pyramid: &'a Pyramid,
     /// Their division.
     pub division: &'a Division,
-    /// Position and radius of each sample.
-    pub spheres: &'a [Sphere],
+    /// Where each sample reads.
+    pub places: &'a [Place],
     /// Index of the first sample.
     pub first: u32,
     /// Sample lists by plane and band.
@@ -147,15 +163,14 @@ impl Kernel for Sort<'_> {
     type Output = ();
     #[inline(always)]
     fn run<L: Lanes>(self) {
-        let Self { pyramid, division, spheres, first, bands } = self;
-        for (sphere, index) in spheres.iter().zip(first..) {
-            let log2_radius = sphere.radius.log2();
+        let Self { pyramid, division, places, first, bands } = self;
+        for (place, index) in places.iter().zip(first..) {
             for (plane, [a, b]) in PLANE_AXES.into_iter().enumerate() {
                 let mut touched = 0_u32;
-                for (level, level_weight) in reads(pyramid, plane, log2_radius) {
+                for (level, level_weight) in reads(pyramid, plane, place.log2_radius) {
                     if level_weight != 0.0 {
                         let shape = pyramid.shape(level, plane);
-                        let [lower, upper] = taps(shape, sphere.position[a], sphere.position[b]).rows;
+                        let [lower, upper] = taps(shape, place.position[a], place.position[b]).rows;
                         let owner = |row| division.owner(plane, level, row);
                         touched |= 1 << owner(lower) | 1 << owner(upper);
                     }
@@ -318,15 +333,15 @@ impl Kernel for SpreadBand<'_, '_> {
         let (plane, band) = (*plane, *band);
         let [a, b] = PLANE_AXES[plane];
         for &index in &gradient.bands[plane * BANDS + band] {
-            let sphere = &gradient.spheres[index as usize];
+            let place = &gradient.places[index as usize];
             let row = &gradient.rows[index as usize * FEATURES + plane * CHANNELS..];
             let values = L::of(&row.as_chunks().0[0]);
-            for (level, level_weight) in reads(pyramid, plane, sphere.radius.log2()) {
+            for (level, level_weight) in reads(pyramid, plane, place.log2_radius) {
                 if level_weight == 0.0 {
                     continue;
                 }
                 let shape = pyramid.shape(level, plane);
-                let taps = taps(shape, sphere.position[a], sphere.position[b]);
+                let taps = taps(shape, place.position[a], place.position[b]);
                 let LevelBand { first_row, texels, extents, .. } = &mut levels[level];
                 for i in 0..2 {
                     if division.owner(plane, level, taps.rows[i]) != band {
