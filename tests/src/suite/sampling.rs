@@ -12,7 +12,7 @@ use trimip_core::{
     },
 };
 
-/// The rays of a step are distributed over the scales by the schedule, and their weights compensate. The width of a
+/// The rays of a step are distributed over the scales by the schedules, and their weights compensate. The width of a
 /// ray's cone reveals its scale.
 ///
 /// # Errors
@@ -20,6 +20,7 @@ use trimip_core::{
 pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = small();
     config.train.scale_weighting = Schedule::new(vec![[0.0, 0.0], [0.5, 0.5], [0.9, 1.0]]);
+    config.train.finest_scale = Schedule::new(vec![[0.0, 0.0], [0.2, 1.0], [0.4, 0.0]]);
     let views = noise(3, 32, 3, 4);
     let finest = views.views[0].camera.intrinsics.fx.recip() / std::f64::consts::PI.sqrt();
     let parameters = lively(&Layout::new(&config), 1);
@@ -27,6 +28,7 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     // 4^(b-1) of the rays per scale, rounded down for all but the finest; weights 4^(1-b).
     let expected = [
         (0.0, [3_201, 800, 200], [1.0, 4.0, 16.0]),
+        (0.3, [0, 3_361, 840], [1.0, 4.0, 16.0]),
         (0.49, [3_201, 800, 200], [1.0, 4.0, 16.0]),
         (0.5, [2_401, 1_200, 600], [1.0, 2.0, 4.0]),
         (1.0, [1_401, 1_400, 1_400], [1.0, 1.0, 1.0]),

@@ -228,6 +228,11 @@ impl TrainConfig {
             "[[0.0, weighting], ...] with rising fractions below 1 and weightings from 0 to 1",
         )?;
         to.check(
+            self.finest_scale.is_whole() && self.finest_scale.values().all(|n| n.fract() == 0.0),
+            "train.finest_scale",
+            "[[0.0, scale], ...] with rising fractions below 1 and whole numbers from 0 to 7",
+        )?;
+        to.check(
             self.cones.is_whole() && self.cones.values().all(|n| n.fract() == 0.0),
             "train.cones",
             "[[0.0, cones], ...] with rising fractions below 1 and whole numbers from 1 to 8",

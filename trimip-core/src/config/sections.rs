@@ -42,7 +42,7 @@ section!(
 section!(
     /// What the scene plan may derive from the data and the budget, and what it may leave out.
     PlanConfig, "plan" {
-        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, direction_delay: PlanChoice, surfaces: PlanChoice, density: PlanChoice, error_map: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
+        aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, direction_delay: PlanChoice, surfaces: PlanChoice, density: PlanChoice, error_map: PlanChoice, coarse_to_fine: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
 );
 section!(
@@ -88,7 +88,7 @@ section!(
 section!(
     /// Length of the run and size of a step.
     TrainConfig, "train" {
-        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, backward_fraction: Schedule, error_map: Schedule, scale_weighting: Schedule, cones: Schedule, background: TrainBackground,
+        steps: u64, seconds: f64, samples_per_step: u32, leaves: u32, batch_scale: Schedule, backward_fraction: Schedule, error_map: Schedule, scale_weighting: Schedule, finest_scale: Schedule, cones: Schedule, background: TrainBackground,
         background_fraction: Schedule, cameras: CameraPoses,
         checkpoint_seconds: f64, log_seconds: f64,
     }

@@ -27,7 +27,8 @@ impl ScaleSampling {
     pub fn at(&self, progress: f64) -> ScaleWeights {
         let most = self.train.cones.at(progress) as u32;
         let patterns = self.patterns.iter().map(|pattern| pattern.within(most)).collect();
-        ScaleWeights::new(&self.scales, self.train.scale_weighting.at(progress), patterns)
+        let finest = self.train.finest_scale.at(progress) as usize;
+        ScaleWeights::new(&self.scales, self.train.scale_weighting.at(progress), finest, patterns)
     }
 }
 
@@ -36,7 +37,8 @@ impl ScaleSampling {
 /// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its fraction of a step's pixels is
 /// ∝ w^(b−1) and each of them has weight w^(1−b). The expected loss is the same at every b, with equal weight for all
 /// scales. At 0 all pixels are equally likely (paper), and the gradient of coarse scales comes from few pixels. At 1 all
-/// scales get equally many pixels, which minimises the variance if the scales have equal variance.
+/// scales get equally many pixels, which minimises the variance if the scales have equal variance. The finest scales can be left
+/// out (`train.finest_scale`).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ScaleWeights {
     fractions: Vec<f64>,
@@ -45,28 +47,30 @@ pub struct ScaleWeights {
 }
 
 impl ScaleWeights {
-    /// The balance `balance` in [0, 1] over `scales`, fine to coarse, whose pixels have these cones. A scale without pixels
-    /// gets none.
-    pub fn new(scales: &[Scale], balance: f64, patterns: Vec<PixelPattern>) -> Self {
+    /// The balance `balance` in [0, 1] over `scales`, fine to coarse, from number `finest` on, whose pixels have these cones. A
+    /// scale without pixels gets none.
+    pub fn new(scales: &[Scale], balance: f64, finest: usize, patterns: Vec<PixelPattern>) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
-        let fraction = |scale: &Scale| match scale.pixels.is_empty() {
-            true => 0.0,
-            false => weight(scale).powf(balance - 1.0),
+        let coarsest = scales.iter().rposition(|scale| !scale.pixels.is_empty()).unwrap_or(0);
+        let fraction = |(index, scale): (usize, &Scale)| match scale.pixels.is_empty() {
+            false if index >= finest.min(coarsest) => weight(scale).powf(balance - 1.0),
+            _ => 0.0,
         };
-        let sum: f64 = scales.iter().map(fraction).sum();
+        let sum: f64 = scales.iter().enumerate().map(fraction).sum();
         Self {
-            fractions: scales.iter().map(|scale| fraction(scale) / sum).collect(),
+            fractions: scales.iter().enumerate().map(|scale| fraction(scale) / sum).collect(),
             weights: scales.iter().map(|scale| weight(scale).powf(1.0 - balance) as f32).collect(),
             patterns,
         }
     }
 
     /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down fraction from the end,
-    /// the finest the rest.
+    /// the finest that has a fraction the rest.
     pub fn allocate(&self, pixels: u32) -> RayAllocation {
         let mut begins = vec![0; self.fractions.len()];
         let mut end = pixels;
-        for (scale, fraction) in self.fractions.iter().enumerate().skip(1).rev() {
+        let finest = self.fractions.iter().position(|fraction| *fraction > 0.0).unwrap_or(0);
+        for (scale, fraction) in self.fractions.iter().enumerate().skip(finest + 1).rev() {
             end -= (f64::from(pixels) * fraction) as u32;
             begins[scale] = end;
         }
@@ -172,7 +176,7 @@ mod tests {
     }
 
     fn balance(scales: &[Scale], balance: f64) -> ScaleWeights {
-        ScaleWeights::new(scales, balance, vec![PixelPattern::WHOLE; scales.len()])
+        ScaleWeights::new(scales, balance, 0, vec![PixelPattern::WHOLE; scales.len()])
     }
 
     /// Pixels of each scale.
@@ -214,8 +218,23 @@ mod tests {
     }
 
     #[test]
+    fn fine_scales_are_left_out_and_the_coarsest_never() {
+        let of = |finest, count| {
+            ScaleWeights::new(&scales(count), 0.0, finest, vec![PixelPattern::WHOLE; count as usize])
+        };
+        assert_eq!(pixels(&of(1, 4), 2103), [0, 1603, 400, 100]);
+        assert_eq!(pixels(&of(2, 4), 500), [0, 0, 400, 100]);
+        assert_eq!(pixels(&of(7, 3), 500), [0, 0, 500]);
+        assert_eq!((0..2103).map(|i| of(1, 4).allocate(2103).scale(i)).min(), Some(1));
+        let mut empty = scales(3);
+        empty[2].pixels = 0..0;
+        let left = ScaleWeights::new(&empty, 0.5, 2, vec![PixelPattern::WHOLE; 3]);
+        assert_eq!(pixels(&left, 500), [0, 500, 0]);
+    }
+
+    #[test]
     fn cones_are_counted_pixel_by_pixel() {
-        let balance = ScaleWeights::new(&scales(4), 1.0, [1, 1, 2, 3].map(PixelPattern::Grid).to_vec());
+        let balance = ScaleWeights::new(&scales(4), 1.0, 0, [1, 1, 2, 3].map(PixelPattern::Grid).to_vec());
         assert!((balance.cones_per_pixel() - 3.75).abs() < 1e-12);
         let allocation = balance.allocate(42);
         assert_eq!((allocation.begins(), allocation.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));

@@ -4,7 +4,7 @@ use super::decision::Decision;
 use super::{aabb, cones, crop, depth, detail, hash_grid, leave_out, recipe, tri_mip};
 
 /// In order: each decision sees the changes of the earlier ones.
-pub(super) const DECISIONS: [Decision; 19] = [
+pub(super) const DECISIONS: [Decision; 20] = [
     Decision {
         key: "aabb",
         owns: &["scene.aabb_min", "scene.aabb_max", "encoder.shape"],
@@ -59,6 +59,12 @@ pub(super) const DECISIONS: [Decision; 19] = [
         owns: &["train.error_map"],
         choice: |config| config.plan.error_map,
         decide: recipe::error_map,
+    },
+    Decision {
+        key: "coarse_to_fine",
+        owns: &["train.finest_scale"],
+        choice: |config| config.plan.coarse_to_fine,
+        decide: recipe::coarse_to_fine,
     },
     Decision {
         key: "depth",

@@ -281,6 +281,22 @@ fn pixels_that_a_budget_sees_rarely_are_drawn_by_their_errors() {
 }
 
 #[test]
+fn coarse_scales_come_first_where_a_budget_sees_few_pixels() {
+    let views = views(true);
+    let of = |per_pixel: f64, set: &[&str]| {
+        let steps = format!("train.steps={}", (2.0 * per_pixel * views.pixels.len() as f64 / 256.0) as u64);
+        let train = planned(&views, &[&[steps.as_str(), "train.samples_per_step=256"], set].concat())
+            .unwrap()
+            .0
+            .train;
+        (train.finest_scale.at(0.2), train.finest_scale.at(0.8), train.scale_weighting.at(0.2))
+    };
+    assert_eq!((of(0.09, &[]), of(0.11, &[])), ((1.0, 0.0, 1.0), (0.0, 0.0, 0.5)));
+    assert_eq!(of(0.09, &["train.finest_scale=2"]).2, 0.5, "what is given stays");
+    assert_eq!(of(0.09, &["plan.coarse_to_fine=off"]).0, 0.0);
+}
+
+#[test]
 fn a_plain_background_bounds_the_scene() {
     let mut plain = views(true);
     for pixel in &mut *plain.pixels {
