@@ -1,5 +1,5 @@
-//! Zeroed memory for buffers: small ones on the heap, large ones in large pages. Photographs, tables of features and gradients are
-//! read at random places, and with pages of 4 KiB most of these reads wait for the page table.
+//! Zeroed memory for buffers: small ones on the heap, large ones in large pages. A training step reads tables of features and
+//! gradients at random places. With pages of 4 KiB most of these reads wait for the page table.
 
 use bytemuck::{Pod, Zeroable};
 use std::ops::{Deref, DerefMut};
@@ -57,9 +57,9 @@ fn mapped(lines: usize) -> Option<Memory> {
     if lines < LEAST {
         return None;
     }
-    // The heap takes over where no map is to be had, and tells if it has no room either.
+    // Where the system grants no map, the caller takes memory of the heap.
     let map = memmap2::MmapMut::map_anon(lines.checked_mul(size_of::<Line>())?).ok()?;
-    // A wish: small pages hold the same values.
+    // An error is ignored: small pages hold the same values.
     let _ = map.advise(memmap2::Advice::HugePage);
     Some(Memory::Mapped(map))
 }

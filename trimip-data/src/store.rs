@@ -39,7 +39,7 @@ pub(crate) fn filled(
     if !on_disk {
         let mut map = in_memory(pixels).map_err(|_| too_large())?;
         fill(map.as_chunks_mut().0)?;
-        return Ok(Pixels::in_memory_of(Written(map)));
+        return Ok(Pixels::in_memory_of(Mapped(map.make_read_only().map_err(|_| too_large())?)));
     }
     let mut map = reserve(pixels).map_err(|error| {
         let needed = format!("{:.1} GB", 4e-9 * pixels as f64);
@@ -83,19 +83,10 @@ fn reserve(pixels: usize) -> std::io::Result<MmapMut> {
     unsafe { MmapMut::map_mut(&file) }
 }
 
-/// Pixels in a mapped file.
+/// Pixels in mapped memory, of a file or of none.
 struct Mapped(Mmap);
 
 impl AsRef<[[u8; 4]]> for Mapped {
-    fn as_ref(&self) -> &[[u8; 4]] {
-        self.0.as_chunks().0
-    }
-}
-
-/// Pixels in memory of their own.
-struct Written(MmapMut);
-
-impl AsRef<[[u8; 4]]> for Written {
     fn as_ref(&self) -> &[[u8; 4]] {
         self.0.as_chunks().0
     }

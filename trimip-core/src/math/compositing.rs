@@ -52,7 +52,7 @@ pub struct Passed<R> {
     pub depth: R,
     /// Optical depth of the faint samples since the last kept one. They merge with the next kept one.
     pub faint: R,
-    /// Optical depth from which on samples are not faint: that of the least weight behind `depth`.
+    /// A sample behind `depth` is faint if its optical depth is below this one, whose weight there is the minimum weight.
     least: R,
 }
 
@@ -73,7 +73,7 @@ impl<R: Real> Pruning<R> {
         Self { max_depth: -min_transmittance.max(min_weight).ln(), min_weight }
     }
 
-    /// What a ray has passed that has kept samples of the optical depth `depth`; 0 at its start.
+    /// The state of a ray behind kept samples of total optical depth `depth`. A ray begins with 0.
     #[inline]
     pub fn behind(&self, depth: R) -> Passed<R> {
         // T·(1 − exp(−x)) = min_weight, solved for x, with T = exp(−depth).

@@ -276,17 +276,13 @@ pub(super) fn coarse_to_fine(context: &Context<'_>) -> Proposal {
     if context.facts.train.scales.len() < 2 {
         return Proposal::Keep(format!("{often}, but there is one scale"));
     }
-    let mut changes = vec![
-        ("train.finest_scale", pieces(COARSE_FIRST)),
-        ("train.scale_weighting", Value::Float(SCALES_ALIKE)),
-    ];
-    changes.retain(|(path, _)| !context.given(path));
-    Proposal::Set {
-        reason: format!(
-            "{often}: half of the run leaves the finest scale out, and all scales get equally many rays"
-        ),
-        changes,
+    let mut changes = vec![("train.finest_scale", pieces(COARSE_FIRST))];
+    let mut told = "half of the run leaves the finest scale out";
+    if !context.given("train.scale_weighting") {
+        changes.push(("train.scale_weighting", Value::Float(SCALES_ALIKE)));
+        told = "half of the run leaves the finest scale out, and all scales get equally many rays";
     }
+    Proposal::Set { reason: format!("{often}: {told}"), changes }
 }
 
 /// A schedule as a value of a setting.

@@ -43,11 +43,13 @@ impl Overview {
         let memory_bytes = memory.iter().map(|(_, bytes)| bytes).sum();
         let mut lines = vec![format!("scene: {}", subject.name)];
         lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
-        lines.extend(subject.train.scales.iter().map(|scale| {
+        let finest = config.train.finest_scale.at(0.0) as usize;
+        lines.extend(subject.train.scales.iter().enumerate().map(|(index, scale)| {
             // A balance of b draws a pixel weight^b times as often, and its ray has weight^(1 - b) in the loss.
             let drawn = scale.weight.powf(config.train.scale_weighting.at(0.0) as f32);
+            let first = if index < finest { ", left out at first" } else { "" };
             format!(
-                "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}",
+                "scale 1/{}: {}, {}, drawn {drawn:.3} times as often at loss weight {:.3}{first}",
                 scale.factor,
                 formatting::count(scale.views.len() as u64, "training view"),
                 formatting::many(scale.pixels.len() as u64, "pixel"),
