@@ -23,7 +23,7 @@ fn values(count: usize) -> Buffer<f32> {
 /// Multiply-adds on registers only: the processor's peak.
 struct Peak<const PAIRS: bool>;
 
-/// Multiply-adds of one run of [`Peak`], in instructions.
+/// Number of multiply-add instructions in one run of [`Peak`].
 const PEAK: usize = 24 * 1000;
 
 impl<const PAIRS: bool> Kernel for Peak<PAIRS> {

@@ -61,7 +61,7 @@ fn stages(criterion: &mut Criterion) {
     }
 }
 
-/// Every stage of a step on one thread. Only `field` and `update` depend on the precision.
+/// Every stage of a step on one thread. Only those of the field and the end of the step depend on the precision.
 fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: ViewSet, simd: Simd) {
     let backend = CpuBackend::new(1, simd).expect("one thread");
     let mut stages = backend.stages(config, Some(views)).expect("views that fit");
@@ -144,7 +144,7 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
         stages.field.backward(tile, arrays, field_context, &mut partial.field);
     });
-    // Accumulating a tile's gradients is timed apart from joining them at the end of the step.
+    // Accumulating a tile's gradients is timed separately from joining them at the end of the step.
     let mut gradient = backend.zeros(layout.len());
     let mut partials = [partial];
     let mut timed = |stages: &mut Stages<CpuBackend>, count: u64, end_of_step: bool| {
@@ -176,7 +176,8 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
     group.bench_function("end of step", |b| b.iter_custom(|count| timed(&mut stages, count, true)));
 }
 
-/// Benchmarks a stage, whose result later stages read: it runs at least once, also where a filter leaves it out.
+/// Benchmarks a stage. The stage runs at least once, even if a filter skips the benchmark, because later stages read
+/// its result.
 fn stage(group: &mut BenchmarkGroup<'_, WallTime>, name: &str, mut work: impl FnMut()) {
     work();
     group.bench_function(name, |b| b.iter(&mut work));
@@ -190,7 +191,7 @@ fn step(criterion: &mut Criterion) {
     {
         let (mut config, views) = scene(samples);
         config.field.precision = precision;
-        // Only for a benchmark that no filter leaves out.
+        // Called only if no filter skips the benchmark.
         let start = || {
             let backend = CpuBackend::new(0, Simd::detect()).expect("threads");
             let mut trainer = Trainer::new(backend, &config, views.clone()).expect("views that fit");

@@ -19,7 +19,7 @@ use trimip_core::engine::backend::{Stages, TrainWork};
 use trimip_core::engine::batch::{Batch, PartialGradients, StepResult, Tiling, Update, Workspace};
 use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pixel, Result, ViewSet};
 
-/// Approximate number of samples that share a set of partial gradients. The weight gradients of a set are added up at the end of a
+/// Approximate number of samples that share a set of partial gradients. Weight gradients are summed over the sets at the end of a
 /// step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
 
@@ -29,8 +29,8 @@ pub fn partials(samples: u32) -> usize {
 }
 
 impl CpuBackend {
-    /// Precision of the networks' products: the configured one, unless bf16 would have to be emulated and must not
-    /// be.
+    /// Precision of the networks' products: bf16 if it is configured and the processor has bf16 instructions or
+    /// emulation is allowed; otherwise f32.
     fn precision(&self, config: &Config) -> Precision {
         match config.field.precision {
             Precision::Bf16 if self.emulates_bf16 || self.simd.has_bf16() => Precision::Bf16,
@@ -49,7 +49,7 @@ impl CpuBackend {
     }
 }
 
-/// Jobs of a thread, at least, if there are as many tiles.
+/// Least number of jobs per thread, given enough tiles.
 const SHARES: usize = 64;
 
 impl Backend for CpuBackend {
@@ -172,7 +172,7 @@ impl Backend for CpuBackend {
         // A ray has hundreds of samples or none; a probe has exactly one.
         let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
-        // Enough jobs that no thread waits long for the last one, and few enough that each goes on where it was.
+        // Jobs small enough that no thread waits long for the last one, and large enough to cover adjacent tiles.
         let tiles = count.div_ceil(per_tile) as usize;
         let most = (tiles / (SHARES * rayon::current_num_threads())).clamp(1, 8);
         out.par_chunks_mut(per_tile as usize).enumerate().with_max_len(most).for_each(|(i, mut out)| {

@@ -25,7 +25,7 @@ impl<T: Pod> Buffer<T> {
         Self { lines, length, values: PhantomData }
     }
 
-    /// Changes the length. Old values are kept; new ones are arbitrary earlier values or zero.
+    /// Changes the length. Old values are kept; new ones are zero or left over from earlier use.
     pub fn resize(&mut self, length: usize) {
         self.lines.grow((length * size_of::<T>()).div_ceil(size_of::<Line>()));
         self.length = length;

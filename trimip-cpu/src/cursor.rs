@@ -1,4 +1,4 @@
-//! Where marching along a ray begins, and how far it has come.
+//! Start and progress of marching along a ray.
 
 use trimip_core::engine::batch::Ray;
 use trimip_core::engine::policy::RendererPolicy;
@@ -32,7 +32,7 @@ impl Cursor {
         Self { first, leave: if hits { leave } else { f32::NEG_INFINITY }, step, index: 0.0 }
     }
 
-    /// The same with other steps.
+    /// Returns this cursor with another step length.
     pub fn with_step(self, step: f32) -> Self {
         Self { step, ..self }
     }

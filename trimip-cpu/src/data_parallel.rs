@@ -1,9 +1,9 @@
-//! Training on several ranks with the bits of one. Neither a step's partial gradients nor the tree in which they are added up
-//! ([`ReductionTree`](crate::reduction_tree::ReductionTree)) depend on the number of ranks.
+//! Training on several ranks, bit-identical to training on one. Neither a step's partial gradients nor the tree in which they are
+//! added up ([`ReductionTree`](crate::reduction_tree::ReductionTree)) depend on the number of ranks.
 //!
-//! An encoder that can be divided ([`Divided`](crate::encoders::Divided)) sums the leaves of a step on the ranks that have them.
-//! Each rank adds these sums up for a part of the parameters, updates it, and sends the others what changed. Any other encoder gets
-//! all partial gradients on every rank.
+//! With an encoder that can be divided ([`Divided`](crate::encoders::Divided)), each rank sums its own leaves of a step. It then
+//! adds up the sums of all ranks for its part of the parameters, updates this part, and sends the changed parameters to the others.
+//! With any other encoder, every rank receives all partial gradients.
 
 use crate::CpuBackend;
 use crate::backend::partials;
@@ -36,7 +36,7 @@ impl DataParallel {
     /// When there are more ranks than leaves.
     pub fn new(ranks: Arc<dyn Ranks>, train: &TrainConfig) -> Result<Self> {
         let this_rank = ranks.rank();
-        // Small steps have fewer sets of partial gradients than leaves are asked for.
+        // Small steps have fewer sets of partial gradients than `train.leaves`.
         let leaves = ReductionTree::new(train.leaves, partials(train.samples_per_step)).count();
         if this_rank.size > leaves {
             let advice = match this_rank.size.next_power_of_two() {
@@ -61,7 +61,7 @@ impl DataParallel {
         (0..of).filter(move |other| *other != rank)
     }
 
-    /// Sends what is in `out`.
+    /// Sends the messages in `out`.
     fn all_to_all(&mut self) -> Result<()> {
         let out: Vec<&[u8]> = self.out.iter().map(Vec::as_slice).collect();
         self.ranks.all_to_all(&out, &mut self.into)
@@ -72,7 +72,8 @@ impl DataParallel {
         self.ranks.all_to_all(&vec![message; self.this_rank.size], &mut self.into)
     }
 
-    /// The encoder, if it is divided: untouched parameters must be left alone, as nobody sends them.
+    /// Returns the encoder if its parameters are divided among ranks. The optimiser must then skip untouched
+    /// parameters, because no rank sends them.
     fn divided<'a>(
         &self,
         encoder: &'a mut CpuEncoder,
@@ -133,7 +134,7 @@ impl Exchange<CpuBackend> for DataParallel {
     }
 
     fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
-        // Sums of integers do not depend on the ranks.
+        // Integer sums do not depend on the number of ranks.
         Exchange::<CpuBackend>::errors(&mut Summed::new(Arc::clone(&self.ranks)), errors)
     }
 
@@ -158,7 +159,7 @@ impl Exchange<CpuBackend> for DataParallel {
         self.all_to_all()?;
         divided.take_sums(&self.into, update.gradient)?;
         divided.complete(update.gradient);
-        // Without a weight nothing moves, on any rank.
+        // If the step has no weight, no rank updates its parameters.
         if backend.weight(update.partials) > 0.0 {
             let left_out = optimizer.step_within(update, divided.pieces());
             let mut message = std::mem::take(&mut self.out[self.this_rank.id]);

@@ -36,8 +36,8 @@ impl CpuBackend {
         Ok(Self { pool, simd, emulates_bf16: true, workspaces: Mutex::new(Vec::new()) })
     }
 
-    /// The same, but computes in f32 what is configured as bf16 if the processor has no bf16 instructions. Emulation
-    /// would be slower and round more.
+    /// Disables the emulation of bf16, which is slower than f32 and rounds more: without bf16 instructions, networks
+    /// configured as bf16 are computed in f32.
     pub fn without_emulation(mut self) -> Self {
         self.emulates_bf16 = false;
         self

@@ -1,13 +1,13 @@
 //! The distance field of a grid of bits: how far marching may skip.
 
 /// Replaces each value of a grid of `side`³ cells, x fastest, by its Chebyshev distance to the nearest cell of value 0, in
-/// cells, at most 255. Other values must be 255 at first. Exact: two passes over the 26 neighbours (Borgefors 1986).
+/// cells, at most 255. Other cells must hold 255 on entry. Exact: two passes over the 26 neighbours (Borgefors 1986).
 pub(crate) fn distances(cells: &mut [u8], side: usize) {
     let mut least = vec![0; side];
     for z in 0..side {
         for y in 0..side {
             least.fill(255);
-            // The rows before this one: that of the same layer, and three of the layer before.
+            // The rows already visited next to this one: one in the same layer, three in the previous layer.
             let before = (y > 0).then(|| (z, y - 1)).into_iter();
             let layer = (z > 0).then(|| (y.saturating_sub(1)..(y + 2).min(side)).map(move |y| (z - 1, y)));
             for (z, y) in before.chain(layer.into_iter().flatten()) {

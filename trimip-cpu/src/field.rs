@@ -1,7 +1,7 @@
 //! Density and colour networks on the CPU. The density network outputs a logit and the geometry features. The colour
-//! network reads this output with a zero weight on the logit, and the view, which goes through the first layer once per
-//! ray. With sines and cosines of the geometry features it reads rows of its own. Without networks the outputs are the
-//! features: a logit of density and those of colour.
+//! network reads this output with a zero weight on the logit, and the view, whose part of the first layer is computed
+//! once per ray. If sines and cosines of the geometry features are configured, the colour network reads separate rows
+//! that hold them. Without networks the outputs are the features: the logits of density and colour.
 
 mod context;
 
@@ -36,11 +36,12 @@ pub struct CpuField {
     red: usize,
     /// Padded width of the view; 0 if the colour network does not see directions.
     view: usize,
-    /// Padded width of the geometry features with their sines and cosines; 0 if there are none of these.
+    /// Padded width of the geometry features with their sines and cosines; 0 without sines and cosines.
     shape: usize,
     /// `train.leaves`.
     wanted_leaves: u32,
-    /// Number of ranks whose sums of weight gradients are here; 0 if none is summed yet in this step.
+    /// Number of ranks whose sums of weight gradients are in the partial gradients; 0 before [`CpuField::fold`] in a
+    /// step.
     shared_by: usize,
 }
 
@@ -72,8 +73,8 @@ impl FieldGradient {
     }
 }
 
-/// Adds up gradients in a balanced tree over `range`; `at` is where each is. The sum is where the first was, and the others are
-/// zero.
+/// Adds up gradients in a balanced tree over `range`; `at` maps an index of the range to its set of partial gradients. The
+/// first set receives the sum, and the others become zero.
 fn join(partials: &mut [PartialGradients<CpuBackend>], range: Range<usize>, at: &impl Fn(usize) -> usize) {
     if range.len() < 2 {
         return;
@@ -87,12 +88,13 @@ fn join(partials: &mut [PartialGradients<CpuBackend>], range: Range<usize>, at: 
 }
 
 impl CpuField {
-    /// The reduction tree of a step of so many sets of partial gradients.
+    /// The reduction tree of a step with `partials` sets of partial gradients.
     pub(crate) fn reduction_tree(&self, partials: usize) -> ReductionTree {
         ReductionTree::new(self.wanted_leaves, partials)
     }
 
-    /// Sums the weight gradients of the parts of `this_rank` into the first of their partial gradients. The rest is zero.
+    /// Sums the weight gradients of the leaves of `this_rank` into the first of their sets. The others of these sets
+    /// become zero.
     pub(crate) fn fold(&mut self, partials: &mut [PartialGradients<CpuBackend>], this_rank: Rank) {
         let parts = self.reduction_tree(partials.len());
         let own = parts.of(this_rank);
@@ -146,7 +148,7 @@ impl CpuField {
             density: Mlp::new(density, features.collect(), Vec::new(), precision),
             color: Mlp::new(color, input, InputRow::all(view, padded_view), precision),
             slots: layout.networks().to_vec(),
-            // Without networks the density logit comes before it.
+            // Without networks the density logit precedes red.
             red: usize::from(policy.is_direct()),
             policy,
             view: padded_view,
@@ -156,7 +158,7 @@ impl CpuField {
         }
     }
 
-    /// The input of the colour network beside the view.
+    /// The input of the colour network in addition to the view.
     fn color_input<'a>(&self, outputs: &'a Buffer<f32>, shape: &'a Buffer<f32>) -> &'a Buffer<f32> {
         if self.shape == 0 { outputs } else { shape }
     }

@@ -13,12 +13,12 @@ use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::engine::proxy::{Chooser, Chosen, Guide, Layering, Pick, Shaded, share_colors};
 use trimip_core::geometry::space::Path;
 
-/// Renders by the proxy of a model.
+/// Hybrid rendering with the proxy of a model.
 pub(crate) struct Hybrid(pub Guide);
 
 impl Hybrid {
-    /// Calls `place` for every sample of a ray, front to back. Returns false if the proxy is unsure of the ray; what
-    /// was placed is then to be forgotten.
+    /// Calls `place` for every sample of a ray, front to back. Returns false if the proxy is unsure of the ray; the
+    /// caller then discards the placed samples.
     #[inline(always)]
     pub fn choose(
         &self,
@@ -54,7 +54,7 @@ impl Hybrid {
         };
         let mut sure = true;
         advance(policy, ray, occupancy, &mut cursor, |Interval { t, .. }, sphere, _| {
-            // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
+            // The spheres of a wide cone may touch cells with density even where its axis misses them.
             if sphere.radius > guide.widest {
                 sure = false;
                 return false;
@@ -72,8 +72,9 @@ impl Hybrid {
         sure
     }
 
-    /// Lets the samples of a ray share colours, for all rays of which `sure` is true. The first sample of a group gets its
-    /// optical depth, length and mean distance; `kept` gets its row, and the field context's row the mean of its geometry features.
+    /// Groups the samples that share a colour, in all rays for which `sure` is true. The first sample of a group gets the optical
+    /// depth, length and mean distance of the group, and its row in the field context gets the mean of the geometry features.
+    /// `kept` lists the first samples.
     pub fn blend(
         &self,
         field: &CpuField,
@@ -123,7 +124,7 @@ impl Hybrid {
             let own = first + range.start;
             kept.push(own as u32);
             let sum: f32 = group.iter().map(|sample| sample.weight).sum();
-            // A group without any weight shows nothing, and its first sample stands for it.
+            // A group without weight is invisible, and its first sample represents it unchanged.
             if group.len() == 1 || !(sum > 0.0) {
                 return;
             }

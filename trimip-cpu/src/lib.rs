@@ -1,5 +1,5 @@
-//! The stages of Tri-MipRF on the CPU: rayon over tiles of rays, SIMD chosen at run time, the same bits for any number
-//! of threads.
+//! The stages of Tri-MipRF on the CPU: rayon over tiles of rays, SIMD chosen at run time, bit-identical results for
+//! any number of threads.
 //!
 //! ```
 //! use trimip_core::Config;
@@ -77,10 +77,10 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
-/// As [`open`], trained together with other ranks, with the bits of one.
+/// As [`open`], trained together with other ranks, bit-identical to training on one.
 ///
 /// # Errors
-/// As [`open`], and when there are more ranks than a step has parts.
+/// As [`open`], and when there are more ranks than a step has leaves.
 pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     let exchange = DataParallel::new(ranks, &config.train)?;
     let backend = CpuBackend::new(config.threads, Simd::detect())?.without_emulation();
@@ -98,10 +98,10 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     memory::predict(config, views, threads, backend::partials(config.train.samples_per_step))
 }
 
-/// Kept samples per second of one thread that trains networks of 64 units on *lego*, by instruction set. Measured
-/// with AVX-512 BF16 (327 M in 300 s on two threads of a Zen 4), with AMX (24 M in 20 s on two threads of an Emerald Rapids,
-/// in f32) and with AVX2 (two threads of a Zen). The others are
-/// scaled by the rates of the networks' products; NEON by the multiply-adds of a cycle, without a measurement.
+/// Kept samples per second of one thread that trains networks of 64 units on *lego*, by instruction set. Measured with
+/// AVX-512 BF16 (327 M in 300 s on two threads of a Zen 4), with AMX (24 M in 20 s on two threads of an Emerald Rapids, in
+/// f32) and with AVX2 (two threads of a Zen). The other values are scaled by the rates of the networks' products; NEON by
+/// the multiply-adds of a cycle, without a measurement.
 fn samples_per_second(simd: Simd) -> f64 {
     match simd {
         Simd::Amx => 6.0e5,

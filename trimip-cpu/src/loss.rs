@@ -12,15 +12,15 @@ use trimip_core::field::losses::{
 use trimip_core::scene::edge_exponents::{shown, shown_gradient};
 use trimip_core::{Config, Pixel, Space};
 
-/// The terms that a configuration puts to work.
+/// The loss terms that a configuration uses.
 pub struct CpuLoss {
     config: LossConfig,
-    /// Terms of pixels beside the photometric one, with their weights.
+    /// Terms of pixels in addition to the photometric one, with their weights.
     pixel_terms: Vec<(&'static dyn PixelTerm, f32)>,
     /// Terms of rays, with their weights.
     ray_terms: Vec<(&'static dyn RayTerm, f32)>,
     space: Space<f32>,
-    /// Gains of the photographs, if they are compared with them.
+    /// Exposure gains of the photographs; empty if the loss applies none.
     gains: Vec<[f32; 3]>,
 }
 
@@ -149,8 +149,8 @@ impl PhotometricVisitor for Pixels<'_> {
 }
 
 impl CpuLoss {
-    /// Adds the losses of pixels, of these photographs if they are compared with gains, to the sums, and writes their
-    /// gradients.
+    /// Adds the losses of pixels to the sums, and writes their gradients. `photographs` selects the exposure gain of
+    /// each pixel, if there are any.
     #[inline]
     fn add<'a, T: PhotometricTerm>(
         &self,
@@ -171,7 +171,7 @@ impl CpuLoss {
                 seen = exposed(seen, behind, **gain);
             }
             let difference: [f32; 3] = std::array::from_fn(|c| seen[c] - target.rgb[c]);
-            // What is left out of the loss is left out of the error, whatever colour is stored there.
+            // Pixels of weight 0 are excluded from the error as from the loss, whatever colour they store.
             if target.weight > 0.0 {
                 let squared = difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
                 sums.squared_error += f64::from(target.importance) * squared;

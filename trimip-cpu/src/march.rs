@@ -8,8 +8,8 @@ use trimip_core::engine::batch::{Interval, Ray, Rays, Samples, Segment, Sphere};
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::geometry::space::Path;
 
-/// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, with that cell, until it
-/// returns false. Returns true if the ray has left the box.
+/// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, with that cell, until
+/// `place` returns false. Returns true if the ray has left the box.
 ///
 /// Skips empty cubes by the distance field; the samples are exactly those of testing every step.
 #[inline(always)]
@@ -29,7 +29,7 @@ pub fn advance(
     }
 }
 
-/// Steps that are tested at once: one vector register holds a value of each.
+/// Number of steps that are tested at once: one vector register holds a value of each.
 const BLOCK: usize = 16;
 
 /// The next steps from a cursor on.
@@ -39,7 +39,7 @@ struct Steps {
     t: [f32; BLOCK],
     positions: [[f32; 3]; BLOCK],
     cells: [[u32; 3]; BLOCK],
-    /// How far around each cell all others are empty; 0 for an occupied one.
+    /// Chebyshev distance from each cell within which all cells are empty; 0 for an occupied cell.
     empty: [u32; BLOCK],
 }
 
@@ -73,7 +73,7 @@ impl Steps {
         steps
     }
 
-    /// The parameter up to which the cells around that of the last step are empty.
+    /// The parameter up to which the ray stays within the empty cells around the last step.
     #[inline(always)]
     fn clear(&self, path: &impl Path) -> f32 {
         let last = BLOCK - 1;
@@ -115,7 +115,7 @@ fn follow(
             // the distance; a step that close to the end is tested rather than skipped.
             let next = (steps.clear(path) - first) * inverse_step - 0.5;
             let next = (next * (1.0 - 1e-6) - 0.01).ceil();
-            // Not NaN, and not without an end.
+            // NaN and infinity are ignored.
             if next.is_finite() {
                 index = index.max(next);
             }

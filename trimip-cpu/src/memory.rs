@@ -81,7 +81,7 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize
     ]
 }
 
-/// Bytes for what is there for moments, one after the other: the larger one, and half of the smaller one, which an
+/// Bytes of two temporary allocations that never overlap: the larger one, and half of the smaller one, which an
 /// allocator keeps.
 fn moments(mut two: [u64; 2]) -> u64 {
     two.sort_unstable();
@@ -94,17 +94,17 @@ fn worker(config: &Config) -> u64 {
     let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
     let encoding = encoders::stride(config) + encoders::of(config).context(config);
     let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
-    // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
-    // outputs.
     // Samples on displaced rays, and a slope of each.
     let displaced = match config.train.cameras {
         CameraPoses::Fixed => 0,
         CameraPoses::Refine => size_of::<Sphere>() + WORD * (encoding + 1),
     };
+    // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
+    // outputs.
     let row = displaced + 2 * seen + WORD * (outputs(&color_layers(config)) + geometry_width(config));
     // A block's gradients above and below a layer, in f32 and as pairs of bf16.
     let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden.max(config.field.color_hidden) as usize;
-    // A ray is rendered at once, however long it is.
+    // A ray is never split, however many samples it has.
     let samples = SAMPLES_AT_ONCE.max(most_kept(config));
     (AT_ONCE * (samples * row + passing) as f64) as u64
 }

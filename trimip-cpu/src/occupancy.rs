@@ -1,5 +1,5 @@
-//! The occupancy grid on the CPU: one bit per cell, in words of 4×4×4 cells, and the distance field by which marching skips
-//! empty space.
+//! The occupancy grid on the CPU: one bit per cell, in words of 4×4×4 cells, and the distance field with which marching
+//! skips empty space.
 
 use crate::buffer::Buffer;
 use crate::distance::distances as fill_distances;
@@ -22,7 +22,7 @@ pub struct CpuOccupancy {
     densities: Vec<f32>,
     /// Blocks in the order x + B·(y + B·z); within a block, bit x + 4·(y + 4·z).
     blocks: Vec<u64>,
-    /// One per cell: its distance to the nearest occupied cell, in cells, along the axis that is furthest.
+    /// Chebyshev distance of each cell to the nearest occupied cell, in cells, at most 255.
     distances: Vec<u8>,
     occupied: usize,
     chosen: Vec<u32>,
@@ -51,15 +51,15 @@ impl CpuOccupancy {
         self.policy.resolution()
     }
 
-    /// Cells that marching may skip around a cell: all those closer than this, in each direction, are empty. 0 if the
-    /// cell itself is occupied.
+    /// Chebyshev distance to the nearest occupied cell: marching may skip all cells that are closer than this. 0 if
+    /// the cell itself is occupied.
     #[inline(always)]
     pub fn empty_around(&self, [x, y, z]: [u32; 3]) -> u32 {
         let side = self.policy.resolution();
         self.distances[(x + side * (y + side * z)) as usize].into()
     }
 
-    /// Running maximum of the density of a cell, see [`decayed`]; 0 in a model that is not trained.
+    /// Running maximum of the density of a cell, see [`decayed`]; 0 in a model that is only rendered.
     #[inline(always)]
     pub fn density(&self, [x, y, z]: [u32; 3]) -> f32 {
         let side = self.policy.resolution();
@@ -109,7 +109,7 @@ impl CpuOccupancy {
     }
 }
 
-/// Bit index of a cell within its block, or of a block within its block of blocks.
+/// Bit index of a cell within its block.
 #[inline(always)]
 fn bit_of([x, y, z]: [u32; 3]) -> u32 {
     x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
@@ -156,7 +156,7 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         let limit = threshold(mean(&self.densities), &self.policy.settings);
         let densities = std::mem::take(&mut self.densities);
         self.set_bits(|cell| densities[cell as usize] > limit);
-        // If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.
+        // If all cells equal their mean, none is above it. Without this rule, such a grid would stay empty.
         if self.occupied == 0 {
             self.set_bits(|cell| densities[cell as usize] >= 0.0);
         }

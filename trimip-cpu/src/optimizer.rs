@@ -39,13 +39,13 @@ impl CpuOptimizer {
 }
 
 impl CpuOptimizer {
-    /// Counts what another rank left out.
+    /// Adds the number of non-finite gradients that another rank skipped.
     pub(crate) fn count_non_finite(&mut self, count: u64) {
         *self.non_finite.get_mut() += count;
     }
 
-    /// As [`Optimizer::step`], for an encoder whose first slot has a gradient of zero outside of `touched`. Returns how many
-    /// gradients of that slot were left out.
+    /// As [`Optimizer::step`], for an encoder whose first slot has a gradient of zero outside of `touched`. Returns the
+    /// number of non-finite gradients that were skipped in that slot.
     pub(crate) fn step_within(
         &mut self,
         update: &mut Update<'_, CpuBackend>,
@@ -210,7 +210,7 @@ mod tests {
     use trimip_core::engine::batch::{PartialGradients, StepResult, StepSums};
     use trimip_core::field::params::Slot;
 
-    /// Slots of lengths that no register divides: dense and sparse ones, each with its own rate and decay.
+    /// Dense and sparse slots whose lengths are no multiple of a register, each with its own rate and decay.
     fn odd() -> Layout {
         let slot = |name: &str, shape: &[usize], rate, decay, group| Slot {
             rate,

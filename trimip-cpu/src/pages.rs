@@ -11,7 +11,7 @@ pub(crate) struct Line([u8; 64]);
 
 const ZERO: Line = Line([0; 64]);
 
-/// Zeroed lines that can become more.
+/// Growable memory of zeroed lines.
 pub(crate) struct Lines(Memory);
 
 enum Memory {
@@ -49,15 +49,15 @@ impl Lines {
     }
 }
 
-/// Memory in large pages, if the system has them and that many lines fill some.
+/// Memory in large pages, if the system has them and `lines` are enough to fill one.
 #[cfg(target_os = "linux")]
 fn mapped(lines: usize) -> Option<Memory> {
-    /// Lines from which a block holds a large page of 2 MiB wherever it begins.
+    /// Least number of lines for which a block contains a whole page of 2 MiB at any alignment.
     const LEAST: usize = (4 << 20) / size_of::<Line>();
     if lines < LEAST {
         return None;
     }
-    // Where the system grants no map, the caller takes memory of the heap.
+    // If the mapping fails, the caller allocates on the heap.
     let map = memmap2::MmapMut::map_anon(lines.checked_mul(size_of::<Line>())?).ok()?;
     // An error is ignored: small pages hold the same values.
     let _ = map.advise(memmap2::Advice::HugePage);

@@ -1,4 +1,5 @@
-//! The gradient by poses on the CPU: rays moved to either side, and how the loss follows the features of their samples.
+//! Gradients by camera poses on the CPU: the features on rays that are displaced to either side, times the gradients
+//! of the features.
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
@@ -9,7 +10,7 @@ use trimip_core::field::encoders;
 use trimip_core::math::rng::Draws;
 use trimip_core::{Config, ViewSet};
 
-/// The gradient by poses.
+/// The stage of pose gradients.
 pub struct CpuPoses {
     policy: PosePolicy,
     /// Floats in a row of features.
@@ -17,7 +18,7 @@ pub struct CpuPoses {
 }
 
 impl CpuPoses {
-    /// The stage of a configuration over training views; none unless it refines poses.
+    /// The stage of a configuration over training views; `None` unless the configuration refines poses.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Option<Self> {
         let policy = PosePolicy::new(config, views)?;
         Some(Self { policy, stride: encoders::stride(config) })
@@ -90,7 +91,8 @@ impl PoseGradients<CpuBackend> for CpuPoses {
     }
 }
 
-/// Adds a force along `by` at the ray's origin, and one in the distance 1 along it.
+/// Adds the derivatives of a ray along `by`. `force` is their sum over the samples, `lever` the sum of distance times
+/// derivative.
 fn add_to(sums: &mut CameraSums, ray: &Ray, by: [f32; 3], force: f32, lever: f32) {
     let at: [f32; 3] = std::array::from_fn(|axis| force * ray.origin[axis] + lever * ray.direction[axis]);
     let turned = ray.cosine * lever;

@@ -1,6 +1,6 @@
 //! The reduction tree of a step. Set i of partial gradients belongs to leaf i modulo the number of leaves, a power of two. Reductions
-//! have two stages: the sets of a leaf in order, then the leaves in a balanced binary tree. A rank has a subtree, so that it sends one
-//! sum, and all sums have the same bits for any number of ranks.
+//! have two stages: the sets of a leaf in order, then the leaves in a balanced binary tree. Each rank has a subtree, so that it sends
+//! one sum, and all sums are bit-identical for any number of ranks.
 
 use std::ops::Range;
 use trimip_core::engine::exchange::Rank;
@@ -40,7 +40,7 @@ impl ReductionTree {
     }
 }
 
-/// The left and the right half of a range of ranks or leaves. Of an odd number of ranks the right half has more.
+/// The left and the right half of a range of ranks or leaves. If their number is odd, the right half has one more.
 pub fn halves(range: Range<usize>) -> [Range<usize>; 2] {
     let half = range.start + range.len() / 2;
     [range.start..half, half..range.end]

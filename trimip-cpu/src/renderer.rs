@@ -16,11 +16,11 @@ use trimip_core::engine::proxy::Guide;
 use trimip_core::math::compositing::{Visibility, composite, composite_gradient};
 use trimip_core::{Config, Pixel, Renderer, Result};
 
-/// The renderer: its policy, and what chooses the samples of pictures.
+/// The renderer: its policy, and the guide of hybrid rendering.
 pub struct CpuRenderer {
     pub(crate) simd: Simd,
     pub(crate) policy: RendererPolicy,
-    /// Chooses the samples of pictures; none in training, and for volume rendering.
+    /// Chooses the samples in hybrid rendering; `None` in training and volume rendering.
     pub(crate) hybrid: Option<Hybrid>,
 }
 
@@ -116,7 +116,7 @@ impl Renderer<CpuBackend> for CpuRenderer {
             }
             *segment = Segment { start, count: drawn.len() as u32 - start };
         }
-        // The loss has counted all of them.
+        // The loss has counted all kept samples as drawn.
         sums.sums.drawn = sums.sums.drawn.saturating_sub((kept - drawn.len()) as u64);
         samples.rays.keep_rows(drawn, 1);
         samples.intervals.keep_rows(drawn, 1);

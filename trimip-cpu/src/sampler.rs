@@ -24,7 +24,7 @@ pub struct CpuSampler {
     policy: SamplerPolicy,
     views: Option<ViewSet>,
     depths: DepthIndex,
-    /// Errors of each cell of the error map. Sums of integers do not depend on the order of threads.
+    /// Errors of each cell of the error map. Integer sums do not depend on the order of threads.
     errors: Vec<[AtomicU64; 2]>,
 }
 
@@ -38,7 +38,7 @@ impl CpuSampler {
         Self { policy, views, depths, errors }
     }
 
-    /// The known depth of a pixel; of deviation 0 if there is none, or no use for it.
+    /// Returns the known depth of a pixel. Its deviation is 0 if the depth is unknown or unused.
     #[inline]
     fn known_depth(&self, views: &ViewSet, pixel: usize) -> KnownDepth {
         if !self.policy.knows_depths() {
@@ -53,7 +53,7 @@ impl CpuSampler {
 fn divide(camera: &Camera, [x, y]: [u32; 2], pattern: PixelPattern, rays: &mut Rays<CpuBackend>) {
     let (start, count) = (rays.rays.len() as u32, pattern.count());
     rays.groups.push(Segment { start, count });
-    // The usual case, without divisions.
+    // The usual case needs no divisions.
     if pattern == PixelPattern::WHOLE {
         rays.rays.push(camera.cone(x, y).into());
         return;
@@ -115,7 +115,7 @@ impl Sampler<CpuBackend> for CpuSampler {
             let width = view.camera.intrinsics.width;
             let first = rays.rays.len();
             divide(&view.camera, [within % width, within / width], pattern, rays);
-            // Nothing is learned from pixels that the lens has no ray for.
+            // Pixels for which the lens has no ray get no weight.
             if rays.rays[first..].iter().any(Ray::is_none) {
                 weight = 0.0;
             }
@@ -149,7 +149,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         pixel_gradients: &Buffer<[f32; 4]>,
     ) {
         let Some(map) = self.policy.error_map() else { return };
-        // The cells are as random as the pixels.
+        // The cells are as random as the pixels, and are prefetched likewise.
         let mut cells = [0; AHEAD];
         let tiles = rays.targets.chunks(AHEAD).zip(pixel_gradients.chunks(AHEAD));
         for (first, (targets, gradients)) in range.step_by(AHEAD).zip(tiles) {

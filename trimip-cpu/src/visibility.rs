@@ -16,10 +16,10 @@ use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::math::compositing::{Pruning, Visibility};
 use trimip_core::{Encoder, Field, Renderer};
 
-/// Samples per ray that are evaluated at once, at most.
+/// Maximum number of samples in a piece of a ray.
 const PIECE: usize = 16;
 
-/// As many samples of a ray are evaluated at once, at least, before the grid's densities can end its piece.
+/// Minimum number of samples in a piece before the grid's densities can end it.
 const LEAST: usize = 4;
 
 impl Rows {
@@ -80,7 +80,7 @@ pub(crate) fn visibility_pass(
     workspace.stream.scratch = Some(scratch);
 }
 
-/// Takes chosen samples, which are in ray order, to the density of those that are visible.
+/// Evaluates the densities of chosen samples, which are in ray order, and keeps the visible ones.
 fn evaluate_chosen(
     stages: &Stages<CpuBackend>,
     parameters: &Buffer<f32>,
@@ -93,7 +93,7 @@ fn evaluate_chosen(
     stages.density(parameters, workspace);
     let Workspace { stream, samples, field_context, radiance, kept, .. } = workspace;
     stages.renderer.prune(stream, radiance, samples, kept);
-    // Only training needs the features again.
+    // Features are not pruned: only training reads them again.
     if kept.len() < count {
         stages.field.keep(stream, kept, field_context, radiance);
     }
@@ -134,7 +134,7 @@ impl Scratch {
     }
 
     /// Walks all rays to their end and collects visible samples in `staged`. Returns the number of evaluated samples.
-    /// If the first piece has been `placed` already, it goes on from there.
+    /// If `placed` is true, `piece` already holds the first piece.
     fn walk(
         &mut self,
         stream: &mut WorkerScratch,
@@ -202,7 +202,8 @@ impl Scratch {
 }
 
 /// Places the next piece of every ray that is being walked, one segment each. A piece ends where the ray is opaque by the grid's
-/// running densities, so that little is evaluated behind the surface. They are maxima: the ray may have to go on.
+/// running densities, so that little is evaluated behind the surface. These densities are maxima, so the ray may continue with
+/// another piece.
 struct PlaceSamples<'a> {
     walkers: &'a mut [Walker],
     stages: &'a Stages<CpuBackend>,
@@ -249,7 +250,8 @@ impl Kernel for PlaceSamples<'_> {
     }
 }
 
-/// Chooses all samples of every ray, one segment each. A ray of which the proxy is unsure has none, and stays.
+/// Chooses all samples of every ray, one segment each. If the proxy is unsure of a ray, the ray gets none and is
+/// walked afterwards.
 struct Choose<'a> {
     hybrid: &'a Hybrid,
     walkers: &'a mut [Walker],
@@ -287,7 +289,7 @@ impl Kernel for Choose<'_> {
     }
 }
 
-/// Lists the visible samples, whose intervals get the lengths that they stand for, and drops rays that have ended or become opaque.
+/// Lists the visible samples, extends their intervals by those of merged samples, and drops rays that have ended or become opaque.
 fn look(
     walkers: &mut Vec<Walker>,
     samples: &mut Samples<CpuBackend>,

@@ -9,14 +9,14 @@ pub fn put<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
     out.extend_from_slice(bytemuck::cast_slice(values));
 }
 
-/// Appends a number of values and the values.
+/// Appends the number of values, then the values.
 pub fn put_counted<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
     put(out, &[values.len() as u64]);
     put(out, values);
 }
 
-/// A message that is being read. A read that the message does not fill is an error, of the kind of a rank that is gone: what
-/// other ranks computed is not to be had. Nothing is allocated for values that are not there.
+/// Reader of a message. A read beyond the end of the message is an error of the same kind as a lost rank: the results of
+/// that rank are unavailable. Nothing is allocated for missing values.
 pub struct Reader<'a> {
     rest: &'a [u8],
     /// Bytes of the whole message.
@@ -73,7 +73,7 @@ impl<'a> Reader<'a> {
         self.bytes(count)
     }
 
-    /// The number of values that follow, which are there.
+    /// Reads the number of values that follow, and checks that the message holds them.
     fn count<T: Pod>(&mut self) -> Result<usize> {
         let count: u64 = self.one()?;
         let fits = usize::try_from(count)
@@ -82,19 +82,19 @@ impl<'a> Reader<'a> {
         fits.ok_or_else(|| self.fault(format_args!("{count} values of {} bytes", size_of::<T>())))
     }
 
-    /// Replaces a buffer by what [`put_counted`] wrote.
+    /// Replaces a buffer by the values that [`put_counted`] wrote.
     ///
     /// # Errors
-    /// When the message has fewer values than it says.
+    /// When the message has fewer values than it states.
     pub fn buffer<T: Pod>(&mut self, to: &mut Buffer<T>) -> Result<()> {
         to.resize(self.count::<T>()?);
         self.copy(to)
     }
 
-    /// Replaces a list by what [`put_counted`] wrote.
+    /// Replaces a list by the values that [`put_counted`] wrote.
     ///
     /// # Errors
-    /// When the message has fewer values than it says.
+    /// When the message has fewer values than it states.
     pub fn list<T: Pod>(&mut self, to: &mut Vec<T>) -> Result<()> {
         to.clear();
         to.resize(self.count::<T>()?, T::zeroed());
@@ -104,7 +104,7 @@ impl<'a> Reader<'a> {
     /// Replaces a list by indices below `count` that [`put_counted`] wrote.
     ///
     /// # Errors
-    /// When the message has fewer indices than it says, or a larger one.
+    /// When the message has fewer indices than it states, or an index is too large.
     pub fn indices(&mut self, to: &mut Vec<u32>, count: usize) -> Result<()> {
         self.list(to)?;
         match to.iter().all(|index| (*index as usize) < count) {
@@ -113,7 +113,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Refuses values of which there are `found` instead of `expected`.
+    /// Checks that there are `expected` values.
     ///
     /// # Errors
     /// When the numbers differ.
@@ -124,10 +124,10 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Ends the reading.
+    /// Checks that the message is read to its end.
     ///
     /// # Errors
-    /// When the message goes on.
+    /// When it has more bytes.
     pub fn end(&self) -> Result<()> {
         match self.rest.is_empty() {
             true => Ok(()),

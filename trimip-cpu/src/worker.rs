@@ -1,4 +1,4 @@
-//! What a worker remembers beside its workspace: memory for the rays that it walks, and how long rays have been.
+//! State of a worker in addition to its workspace: memory for the rays that it walks, and the recent lengths of rays.
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
@@ -11,16 +11,16 @@ use trimip_core::math::compositing::Passed;
 /// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
 pub const SAMPLES_AT_ONCE: usize = 1536;
 
-/// Assumed samples of a ray before any ray was rendered.
+/// Assumed number of samples of a pixel before any is rendered.
 const UNKNOWN_RAY: f32 = 256.0;
 
 /// Decay of the longest ray's length from one group of rays to the next; neighbouring rays have similar lengths.
 const REMEMBERED: f32 = 0.98;
 
-/// A worker's scratch memory beside its workspace.
+/// State of a worker in addition to its workspace.
 pub struct WorkerScratch {
     pub(crate) scratch: Option<Box<Scratch>>,
-    /// Samples of the pixel with the most of them among those rendered recently.
+    /// Largest number of samples among the recently rendered pixels.
     most_samples: f32,
 }
 
@@ -31,12 +31,13 @@ impl Default for WorkerScratch {
 }
 
 impl WorkerScratch {
-    /// Number of rays to render at once: many in general, few through fog, where each ray has hundreds of samples.
+    /// Number of pixels to render at once: many in general, few through fog, where each ray has hundreds of samples.
     pub(crate) fn pixels_at_once(&self) -> usize {
         ((SAMPLES_AT_ONCE as f32 / self.most_samples) as usize).max(1)
     }
 
-    /// Records the samples of the pixels just rendered. Pixels without samples tell nothing about their neighbours.
+    /// Records the samples of the pixels just rendered. Pixels without samples are ignored, because they say nothing
+    /// about their neighbours.
     pub(crate) fn saw(&mut self, groups: &[Segment], segments: &[Segment]) {
         let samples = |group: &Segment| segments[group.range()].iter().map(|segment| segment.count).sum();
         let longest: u32 = groups.iter().map(samples).max().unwrap_or(0);
@@ -67,7 +68,7 @@ pub struct Scratch {
     pub staged: Rows,
     /// Rows of `staged` in ray order.
     pub order: Vec<u32>,
-    /// For hybrid rendering, one per ray: whether the proxy is sure of it.
+    /// For hybrid rendering: whether the proxy is sure of each ray.
     pub sure: Vec<bool>,
     pub groups: Groups,
 }

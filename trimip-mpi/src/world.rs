@@ -15,15 +15,15 @@ const ALL_TO_ALL: Tag = 1;
 const ORDER: Tag = 2;
 const MESSAGE: Tag = 3;
 
-/// Bytes of a message at most: MPI counts in i32.
+/// Maximum number of bytes of a message: MPI counts in i32.
 const MOST: usize = 1 << 30;
 
-/// A rank that waits for an order looks for it all the time for so long, and then now and again, so that it leaves its core to
-/// others.
+/// Time for which a rank that waits for an order polls without pause. Afterwards it sleeps [`NAP`] between polls, to leave its
+/// core to others.
 const EAGER: Duration = Duration::from_millis(5);
 const NAP: Duration = Duration::from_micros(200);
 
-/// What a rank has sent in trades.
+/// Traffic of a rank in calls of `all_to_all`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Traffic {
     /// Steps.
@@ -32,29 +32,30 @@ pub struct Traffic {
     pub bytes: u64,
     /// Bytes of the touched parts of the gradients of all steps.
     pub touched: u64,
-    /// Seconds spent in trades but the first, waiting for slower ranks included.
+    /// Seconds spent in calls of `all_to_all` after the first, including waits for slower ranks.
     pub trading: f64,
-    /// Seconds from the end of the first all_to_all to that of the last.
+    /// Seconds from the end of the first `all_to_all` to the end of the last.
     pub seconds: f64,
 }
 
 /// All processes that were launched together.
 #[derive(Default)]
 pub struct World {
-    /// This rank among all, and among those on its machine; known once MPI is in use.
+    /// This rank among all ranks, and among those on its machine; set by [`World::start`].
     ranks: OnceLock<[Rank; 2]>,
     traffic: Mutex<(Traffic, Option<Instant>)>,
     /// One thread at a time calls MPI.
     calls: Mutex<()>,
-    /// Held from the start to the end.
+    /// MPI's environment, held from [`World::start`] to [`World::end`].
     universe: Mutex<Option<Universe>>,
 }
 
 impl World {
-    /// Begins to use MPI.
+    /// Initialises MPI.
     ///
     /// # Errors
-    /// When it was begun before, the library lets only one thread call it, or it does not see the ranks that were launched.
+    /// When MPI is already initialised, the library lets only one thread call it, or it does not see the ranks that were
+    /// launched.
     pub fn start(&self) -> Result<()> {
         let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized)
             .ok_or_else(|| Error::device("MPI has been started before"))?;
@@ -83,12 +84,12 @@ impl World {
         Ok(())
     }
 
-    /// What this rank has sent.
+    /// Returns the traffic of this rank.
     pub fn traffic(&self) -> Traffic {
         lock(&self.traffic).0
     }
 
-    /// Ends the use of MPI: waits until every rank does.
+    /// Finalises MPI, which waits until every rank does so.
     pub fn end(&self) {
         let _calls = lock(&self.calls);
         drop(lock(&self.universe).take());
@@ -104,12 +105,12 @@ impl World {
     }
 }
 
-/// Locks; a thread that panicked has ended the program.
+/// Locks a mutex. Poisoning is ignored, because a thread that panics ends the program.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A rank as MPI counts it.
+/// Converts a rank to MPI's type.
 fn number(rank: usize) -> MpiRank {
     rank as MpiRank
 }
@@ -160,7 +161,7 @@ impl Ranks for World {
                 traffic.trading += started.elapsed().as_secs_f64();
                 traffic.seconds = since.elapsed().as_secs_f64();
             }
-            // In the first all_to_all a rank waits for others that still read their data.
+            // The first call is not timed: there a rank waits for others that still read their data.
             None => *since = Some(Instant::now()),
         }
         Ok(())

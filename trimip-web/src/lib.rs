@@ -1,4 +1,4 @@
-//! A model in a page that no server stands behind: the renderer of trimip-wgpu as WebAssembly, over the browser's WebGPU.
+//! A viewer for pages without a server: the renderer of trimip-wgpu as WebAssembly, over the browser's WebGPU.
 //! `tools/web.sh` builds it; `trimip-cli export web` writes a folder with it, a model and the page in `trimip-cli/page`.
 #![cfg(target_family = "wasm")]
 
@@ -16,7 +16,7 @@ use wasm_bindgen::prelude::*;
 pub struct Viewer {
     loaded: LoadedModel<WgpuBackend>,
     crop: Crop,
-    /// True while pictures show the crop alone.
+    /// True while pictures show only the crop.
     cropped: bool,
     about: String,
 }
@@ -30,7 +30,7 @@ impl Viewer {
     /// Loads a model from the bytes of its file.
     ///
     /// # Errors
-    /// When it is no model, or the browser has no GPU that it fits.
+    /// When the bytes are no model, or the browser has no GPU that fits it.
     pub async fn load(bytes: Vec<u8>) -> Result<Viewer, JsError> {
         let mut model = Model::from_bytes("the model", &bytes).map_err(thrown)?;
         drop(bytes);
@@ -48,16 +48,16 @@ impl Viewer {
         Ok(Self { loaded, crop, cropped: false, about })
     }
 
-    /// The scene's box, its up, its crop in the coordinates of the photographs, and its background, as JSON.
+    /// The scene's box, up direction, crop (in the coordinates of the photographs) and background, as JSON.
     pub fn about(&self) -> String {
         self.about.clone()
     }
 
     /// Renders a view. `pose` is a camera-to-world matrix [R|t] of 12 numbers row by row, OpenGL axes; `fov` is horizontal, in
-    /// degrees. If `cropped`, it shows the crop of the model alone. Returns RGBA, 8 bits each, row by row.
+    /// degrees. If `cropped` is true, only the crop of the model is shown. Returns RGBA, 8 bits each, row by row.
     ///
     /// # Errors
-    /// When the pose has other numbers, or the device fails.
+    /// When `pose`, `fov` or the size is invalid, or the device fails.
     pub async fn render(
         &mut self,
         pose: Vec<f64>,

@@ -23,7 +23,7 @@ use trimip_core::engine::backend::{Stages, TrainWork};
 use trimip_core::engine::batch::{Batch, PartialGradients, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
-/// Iterations after which llvmpipe ends the loops of an invocation, minus some for its other loops.
+/// Number of iterations after which llvmpipe ends the loops of an invocation, minus a margin for its other loops.
 const SOFTWARE_ROUNDS: usize = 60_000;
 
 /// Byte offset of the sum of the weights within a step's sums.

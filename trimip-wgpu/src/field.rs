@@ -1,4 +1,5 @@
-//! Density and colour networks on the GPU. The activations of a step stay on the device. Without networks the outputs are the features: a logit of density and those of colour.
+//! Density and colour networks on the GPU. The activations of a step stay on the device. Without networks the outputs are the features: the
+//! logits of density and colour.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
@@ -55,7 +56,7 @@ shared! {
         /// Number of rays, and the index of the first within the step.
         count: u32,
         first: u32,
-        /// Width of the density network's output, of which the first is the logit.
+        /// Width of the density network's output; its first value is the logit.
         outputs: u32,
         /// Function of the density, its shift and its factor.
         density: u32,
@@ -204,7 +205,8 @@ impl WgpuField {
         }
     }
 
-    /// As [`Field::keep`], but keeps no more of the context than colours need; there is no way back.
+    /// As [`Field::keep`], but keeps only the part of the context that colours need. A backward pass is not possible
+    /// afterwards.
     pub fn keep_outputs(
         &self,
         stream: &mut Stream,
@@ -223,7 +225,7 @@ impl WgpuField {
         &self.overflows
     }
 
-    /// Switches to f32, once there was a factor that f16 cannot hold.
+    /// Switches to f32 after a factor that f16 cannot hold.
     fn fall_back(&mut self) {
         let [density, color] = [&self.policy.density, &self.policy.color]
             .map(|network| Mlp::new(&self.gpu, network, &self.layout, None, &self.overflows));

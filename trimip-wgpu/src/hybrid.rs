@@ -40,7 +40,7 @@ shared! {
         least: f32,
         opaque: f32,
         behind: f32,
-        /// See [`Layers`]; no layers stand for the rule of weights.
+        /// See [`Layers`]; 0 layers select the rule of weights.
         delta: f32,
         surface: f32,
         layers: u32,
@@ -111,7 +111,7 @@ kernels! {
 pub struct Hybrid {
     gpu: Arc<Gpu>,
     kernels: Kernels,
-    /// Optical depth and opacity of a step for each code, one word per brick, eight codes per word.
+    /// Optical depth and opacity of a step for each code, then one word per brick, then eight codes per word.
     proxy: Buffer<u32>,
     cells: [u32; 3],
     /// Index of the first word of the bricks, and of the codes.
@@ -235,7 +235,7 @@ impl Hybrid {
         self.gpu.dispatch(&self.kernels.fill, &binds, &params, items);
     }
 
-    /// Marks the visible samples that have a colour of their own, and lets the others share it.
+    /// Marks the visible samples that have a colour of their own; the other visible samples share these colours.
     fn share(
         &self,
         stages: &Stages<WgpuBackend>,

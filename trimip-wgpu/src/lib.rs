@@ -1,7 +1,7 @@
-//! The stages of Tri-MipRF on any GPU through wgpu: `gpu/` knows the device and no stage; each stage is a file with its
-//! kernels, and WGSL in `shaders/`, the same as `trimip-core`'s mathematics under the same names. Structs and constants in
-//! WGSL are generated from Rust. A training step is one submission. No parameters are transferred, and the sums
-//! of a step are read while later steps run.
+//! The stages of Tri-MipRF on any GPU through wgpu: `gpu/` wraps the device and is independent of the stages; each stage
+//! is a file with its kernels. The WGSL in `shaders/` mirrors `trimip-core`'s mathematics under the same names. Structs
+//! and constants in WGSL are generated from Rust. A training step is one submission. No parameters are transferred, and
+//! the sums of a step are read while later steps run.
 
 #![deny(unsafe_code)]
 
@@ -49,8 +49,8 @@ use trimip_core::engine::trainer::Trainer;
 use trimip_core::field::model::Model;
 use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 
-/// Creates an untrained model, to be trained on `views` on the configured adapter: that with the number `index` of those that are
-/// as good, counted around.
+/// Creates an untrained model, to be trained on `views` on the configured adapter. `index`, modulo their number, selects one of
+/// several equally good adapters.
 ///
 /// # Errors
 /// When there is no such adapter, or the configuration does not fit it.
@@ -73,8 +73,8 @@ pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Resu
     Ok(Box::new(trainer))
 }
 
-/// Loads a finished model to render on the adapter whose name contains `adapter`: that with the number `index` of those that are as
-/// good, counted around.
+/// Loads a finished model to render on the adapter whose name contains `adapter`. `index`, modulo their number, selects one of
+/// several equally good adapters.
 ///
 /// # Errors
 /// When there is no such adapter, or the model does not fit it.

@@ -16,7 +16,7 @@ use trimip_core::{Config, Space};
 /// Number of words of [`DeviceSums::buffer`].
 pub const SUMS: usize = 9;
 
-/// Where the number of drawn samples is in it, in bytes.
+/// Byte offset of the number of drawn samples in [`DeviceSums::buffer`].
 pub const DRAWN_AT: u64 = 4 * (SUMS as u64 - 1);
 
 /// A step's sums on the device: loss, weight, squared error, number of non-finite pixels, then counts of samples.
@@ -35,7 +35,7 @@ pub struct DeviceSums {
     pub cameras: Option<(wgpu::Buffer, usize)>,
 }
 
-/// The sums of the photographs' derivatives, `N` of each: 64-bit fixed point, low words first.
+/// Converts the sums of the photographs' derivatives, `N` of each, from 64-bit fixed point with low words first.
 pub fn sums_of<const N: usize>(words: &[u32]) -> Vec<[f64; N]> {
     let fixed = |[low, high]: [u32; 2]| (i64::from(high.cast_signed()) << 32) | i64::from(low);
     let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(POINT);
@@ -43,7 +43,7 @@ pub fn sums_of<const N: usize>(words: &[u32]) -> Vec<[f64; N]> {
     sums.as_chunks().0.to_vec()
 }
 
-/// The terms that a configuration puts to work.
+/// The loss terms that a configuration uses.
 pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     kernels: Kernels,
@@ -149,7 +149,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
                 continue;
             }
             let params = RayParams { space: self.space, term, count, blocks };
-            // The sums of the pixels are added up already.
+            // The array is free: the sums of the pixels are already added up.
             stream.sums.resize(4 * blocks as usize);
             let binds = Binds::new(samples.segments.bind())
                 .and([radiance_gradients.bind(), radiance.bind(), samples.intervals.bind()])

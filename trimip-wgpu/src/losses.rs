@@ -24,7 +24,7 @@ shared! {
         pub photographs: u32,
         /// Weight, then numbers of the photometric term.
         pub photometric: [f32; 4],
-        /// The same of each term of pixels.
+        /// Weight, then numbers of each term of pixels.
         pub terms: PixelTerms,
     }
 
@@ -40,9 +40,9 @@ shared! {
     }
 }
 
-/// Words of a photograph's three gains, and of the three sums in fixed point that follow the gains of all.
+/// Words of a photograph's three gains.
 pub const GAIN_WORDS: usize = words(size_of::<[f32; 3]>()) as usize;
-/// As [`GAIN_WORDS`].
+/// Words of a photograph's three sums in fixed point, which follow the gains of all photographs.
 pub const SUM_WORDS: usize = words(size_of::<[u64; 3]>()) as usize;
 
 const PARAMS: [Source; 2] = [Source::of::<PixelTerms>(), Source::of::<Params>()];
@@ -54,14 +54,14 @@ const EXPOSED: [Source; 4] = [
     Text(include_str!("shaders/losses/exposure_gain.wgsl")),
 ];
 
-/// Whether a number is finite.
+/// Test for finite numbers.
 pub const FINITE: Source = Text(include_str!("shaders/finite.wgsl"));
 
 /// The kernels of a configuration's loss.
 pub struct Kernels {
     /// Evaluates the terms of pixels, without gains of photographs.
     pub evaluate: Pipeline,
-    /// The same with gains.
+    /// As `evaluate`, with gains.
     pub evaluate_exposed: Pipeline,
     /// Adds up the sums of the pixels' workgroups.
     pub add_up: Pipeline,
@@ -73,7 +73,7 @@ pub struct Kernels {
 pub struct RayKernels {
     /// Evaluates the cones.
     pub cones: Pipeline,
-    /// Whether the cones' kernel reads the rays, beside the samples along them.
+    /// True if the cones' kernel reads the rays in addition to the samples along them.
     pub reads_rays: bool,
     /// Adds up the sums of the cones' workgroups.
     pub sums: Pipeline,
@@ -122,7 +122,7 @@ fn add_up() -> Kernel {
     )
 }
 
-/// Whether a term of rays reads the rays, beside the samples along them.
+/// True if a term of rays reads the rays in addition to the samples along them.
 fn reads_rays(term: &str) -> bool {
     term.contains("rays[")
 }

@@ -25,7 +25,7 @@ const RAYS_SPARE: [usize; 2] = [5, 4];
 /// Arrays of parameter size: parameters, gradient and two moments.
 const PARAMETER_COPIES: usize = 4;
 
-/// Copies of a layer's matrix: itself and its transpose, beside the chunks of its gradient.
+/// Copies of a layer's matrix, without the chunks of its gradient: the matrix and its transpose.
 const MATRIX_COPIES: usize = 2;
 
 /// Name and bytes of each part, on the configured adapter.
@@ -35,7 +35,7 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     predict(config, &own, views, largest_binding(&own.adapter).unwrap_or(u64::MAX))
 }
 
-/// The same for a device whose largest binding has `binding` bytes.
+/// As [`memory`], for a device whose largest binding has `binding` bytes.
 fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let derived = encoders::of(config).derived_bytes(config) as usize;
@@ -59,7 +59,8 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let refines = config.train.cameras == CameraPoses::Refine;
     // Samples on displaced rays, and a slope of each.
     let displaced = if refines { size_of::<Sphere>() + (encoding + 1) * FLOAT } else { 0 };
-    // Drawn samples: a mark of each, and spare arrays for gradients and for what colours need, one of each width.
+    // Drawn samples: a mark for each, and one spare array of each width for gradients and the colour network's
+    // activations.
     let draws = config.train.backward_fraction.values().any(|fraction| fraction < 1.0);
     let outputs = color.iter().map(|[_, outputs]| padded(*outputs));
     let spares: BTreeSet<usize> = outputs.chain([color_inputs, size_of::<Radiance>() / FLOAT]).collect();

@@ -1,5 +1,6 @@
 //! A network on the GPU, layer by layer, each layer a product of matrices. Widths are padded to multiples of 16 with zero
-//! weights. Biases, and an input that joins again, are written before the product of a layer, which is added to them.
+//! weights. Biases, and the product with an input that joins again, are written first. The product of the layer is then
+//! added to them.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -209,7 +210,7 @@ impl Weights {
 /// The parameters of one layer.
 struct Layer {
     weights: Weights,
-    /// Weights of the network's input, where it joins again.
+    /// Weights of the network's input, if it joins this layer again.
     joined: Option<Weights>,
     biases: Option<Weights>,
 }
@@ -224,7 +225,7 @@ impl Layer {
 /// Padded width of the outputs without networks, and of the logits of colours.
 pub const DIRECT: usize = 16;
 
-/// What the layers of a network have in common.
+/// The values that all layers of a network share.
 struct Common<'a> {
     gpu: &'a Arc<Gpu>,
     kernels: &'a Arc<Kernels>,
@@ -250,14 +251,14 @@ pub struct Flow<'a> {
     pub by_output: &'a Buffer<f32>,
     /// The gradients above and below a layer.
     pub scratch: &'a mut [Buffer<f32>; 2],
-    /// Receives the gradient of its input.
+    /// Receives the gradient of the network's input.
     pub by_input: &'a mut Buffer<f32>,
-    /// Receive the gradients of its weights.
+    /// Receive the gradients of the network's weights.
     pub partials: &'a Partials,
 }
 
 impl Mlp {
-    /// The network `shape` with the parameters `slots`.
+    /// The network `shape`, with its parameters as placed by `layout`.
     pub fn new(
         gpu: &Arc<Gpu>,
         shape: &Network,
@@ -282,7 +283,7 @@ impl Mlp {
         Self { layers: layers.collect(), kernels }
     }
 
-    /// True without layers.
+    /// True if the network has no layers.
     pub fn is_empty(&self) -> bool {
         self.layers.is_empty()
     }

@@ -207,7 +207,7 @@ impl Occupancy<WgpuBackend> for WgpuOccupancy {
         self.gpu.clear(self.state.raw(), u64::from(4 * CHOSEN), 4);
         let binds = [self.state.bind(), self.grid.bind(), self.chosen.bind(), self.densities.bind()];
         self.gpu.dispatch(&self.kernels.choose, &binds, &self.params, Size::Items(self.params.cells.into()));
-        // Only the device knows how many cells were selected; this is the upper bound.
+        // The number of selected cells is stored on the device; this is its upper bound.
         self.params.cells
     }
 

@@ -1,5 +1,5 @@
-//! The gradient by poses on the GPU: rays moved to either side, and how the loss follows the features of their samples. The
-//! derivatives of each photograph are summed in 64-bit fixed point: the same bits in any order.
+//! Gradients by camera poses on the GPU: the features on rays that are displaced to either side, times the gradients of the
+//! features. The derivatives of each photograph are summed in 64-bit fixed point, bit-identical in any order.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -35,7 +35,7 @@ shared! {
     }
 }
 
-/// A kernel of the file.
+/// A kernel of `poses.wgsl`.
 fn kernel(entry: &'static str, bindings: &[(u32, crate::gpu::Access)]) -> Kernel {
     let sources = [
         GRID,
@@ -51,7 +51,7 @@ fn kernel(entry: &'static str, bindings: &[(u32, crate::gpu::Access)]) -> Kernel
 }
 
 kernels! {
-    /// The kernels of the gradient by poses.
+    /// The kernels of pose gradients.
     pub struct Kernels {
         displace_rays: kernel("displace_rays", &[(0, Read), (1, Write), (2, Parameters)]),
         displace_spheres: kernel(
@@ -66,7 +66,7 @@ kernels! {
     }
 }
 
-/// The gradient by poses.
+/// The stage of pose gradients.
 pub struct WgpuPoses {
     gpu: Arc<Gpu>,
     kernels: Kernels,
@@ -77,11 +77,11 @@ pub struct WgpuPoses {
 }
 
 impl WgpuPoses {
-    /// The stage of a configuration over training views; none unless it refines poses.
+    /// The stage of a configuration over training views; `None` unless the configuration refines poses.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, views: Option<&ViewSet>) -> Option<Self> {
         let policy = PosePolicy::new(config, views)?;
         let params = Params {
-            // No cell is asked for.
+            // The kernels use no cells.
             space: GpuSpace::new(&policy.space, 1),
             stride: encoders::stride(config) as u32,
             width: policy.width as u32,

@@ -43,9 +43,9 @@ pub enum Finish {
     Relu,
     /// Derivative of a ReLU: zero where the mask is not above zero.
     Mask,
-    /// Added to what is there; f32 alone.
+    /// Adds the product to the stored value; f32 only.
     Add,
-    /// Added to what is there, then ReLU; f32 alone.
+    /// Adds the product to the stored value, then ReLU; f32 only.
     AddRelu,
 }
 
@@ -86,7 +86,7 @@ pub const GRADIENT_SCALE: u32 = 256;
 const BLOCK: usize = 8192;
 
 impl Matrices {
-    /// Their types in WGSL.
+    /// WGSL of the matrix types.
     fn source(self) -> Source {
         Text(match self.side {
             16 => include_str!("shaders/cooperative_16.wgsl"),

@@ -1,7 +1,8 @@
 //! The camera models on a GPU, in the order of [`trimip_core::geometry::projections`]: the WGSL of each defines `cone_NAME`, and
 //! `cone_of_model` calls that of a view.
 
-/// Joins the files of the models, and writes `cone_of_model`. A line is the number of a view's `lens`, and the model's name.
+/// Joins the files of the models, and writes `cone_of_model`. Each line has the number of a view's `lens` and the model's
+/// name.
 macro_rules! models {
     ($($number:literal => $name:literal),+ $(,)?) => {
         /// WGSL of all models.

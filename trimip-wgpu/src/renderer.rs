@@ -29,10 +29,10 @@ pub(crate) const MARCHED: u32 = 0;
 pub(crate) const KEPT: u32 = 1;
 const DRAWN: u32 = 4;
 
-/// Number of [`Samples::counts`]: for each counter there is one of the samples that are dropped.
+/// Number of pairs in [`Samples::counts`]. Each counter has a second one for the samples that are dropped.
 const COUNTS: usize = 4;
 
-/// Distance from a counter to that of the samples that do not fit into their arrays.
+/// Distance from a counter to the counter of the samples that do not fit into their arrays.
 const DROPPED: u32 = 2;
 
 shared! {
@@ -172,7 +172,7 @@ kernels! {
     }
 }
 
-/// The renderer: its policy, the capacity of its arrays, and what chooses the samples of pictures.
+/// The renderer: its policy, the capacity of its arrays, and the proxy of hybrid rendering.
 pub struct WgpuRenderer {
     gpu: Arc<Gpu>,
     kernels: Kernels,
@@ -220,8 +220,8 @@ impl WgpuRenderer {
 }
 
 impl WgpuRenderer {
-    /// Lists the marked samples in `kept` and drops the others. The counts of the segments are those of marked samples; their
-    /// sum becomes the counter `counter`.
+    /// Lists the marked samples in `kept` and drops the others. The segments' counts are those of the marked samples; their
+    /// sum is written to the counter `counter`.
     pub(crate) fn list(
         &self,
         stream: &mut Stream,

@@ -30,7 +30,7 @@ const MOST_SCALES: usize = 8;
 /// Words of a cell's errors.
 const WORDS_OF_CELL: usize = 4;
 
-/// Cones along a side that stand for the quincunx on the device. No grid has as many.
+/// Number of cones along a side that denotes the quincunx on the device. No grid has as many.
 const QUINCUNX: u32 = 0x100;
 
 shared! {
@@ -67,7 +67,7 @@ shared! {
         first: u32,
         count: u32,
         scales: u32,
-        /// What alpha is, see [`meaning`].
+        /// Meaning of alpha, see [`meaning`].
         alpha: u32,
         /// 1 if `pixels` holds only the drawn pixels, in the order of the rays.
         streamed: u32,
@@ -154,7 +154,7 @@ fn training_rays(by_error: bool) -> Kernel {
     if by_error { kernel.and(&[BY_ERROR], &[(10, Read)]) } else { kernel.and(&[EVENLY], &[]) }
 }
 
-/// The same, and each pixel keeps the number of its photograph.
+/// As [`training_rays`], and each pixel stores the number of its photograph.
 fn training_rays_exposed(by_error: bool) -> Kernel {
     training_rays(by_error).and(&[PHOTOGRAPHS_KEPT], &[(7, Write), (8, Read)])
 }
@@ -218,12 +218,12 @@ struct Training {
     pixels: Mutex<Buffer<u32>>,
     /// All pixels, if they stay on the host.
     host: Option<trimip_core::Pixels>,
-    /// The views as the host knows them, and the cells of each.
+    /// The views on the host, and the cells of each.
     on_host: Vec<View>,
     cells: Vec<Grid>,
-    /// The random number from which each cell of the error map is drawn.
+    /// Smallest random number that draws each cell of the error map.
     starts: Buffer<u32>,
-    /// Errors of each cell, as `observe` leaves them.
+    /// Errors of each cell, as `observe` sums them.
     errors: Buffer<u32>,
     /// The photograph of each view, with `loss.exposure` or refined poses.
     photographs: Option<Buffer<u32>>,
@@ -271,12 +271,12 @@ fn cells(policy: &SamplerPolicy, views: &ViewSet) -> Vec<Grid> {
     views.scales.iter().flat_map(|_| map.grids()).copied().collect()
 }
 
-/// A number of each scale.
+/// Returns a number for each scale.
 fn by_scale(policy: &SamplerPolicy, of: impl Fn(&Scale) -> u32) -> [u32; MOST_SCALES] {
     padded(policy.scales.iter().map(of), 0)
 }
 
-/// The number by which the device knows what alpha is.
+/// Encodes the meaning of alpha for the device.
 fn meaning(alpha: Alpha) -> u32 {
     match alpha {
         Alpha::Straight => 0,
@@ -285,7 +285,7 @@ fn meaning(alpha: Alpha) -> u32 {
     }
 }
 
-/// The number by which the device knows the cones of a pixel: those along a side of a grid, or [`QUINCUNX`].
+/// Encodes the cones of a pixel for the device: their number along a side of a grid, or [`QUINCUNX`].
 fn side_of(pattern: PixelPattern) -> u32 {
     match pattern {
         PixelPattern::Grid(side) => side,
@@ -293,7 +293,7 @@ fn side_of(pattern: PixelPattern) -> u32 {
     }
 }
 
-/// Makes room for the cones of the pixels of a tile, which are numbers `cones` of the step.
+/// Makes room for the cones of a tile's pixels; `cones` are their indices in the step.
 fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32>) {
     rays.first = cones.start;
     rays.rays.resize(cones.len());
@@ -389,7 +389,7 @@ fn look_up(
     words
 }
 
-/// The values, followed by `rest`, which nothing reads.
+/// Pads the values with `rest`, which no kernel reads.
 fn padded<T: Copy>(values: impl Iterator<Item = T>, rest: T) -> [T; MOST_SCALES] {
     let mut all = [rest; MOST_SCALES];
     all.iter_mut().zip(values).for_each(|(place, value)| *place = value);

@@ -1,5 +1,5 @@
-//! The parts of WGSL that several stages share, most of them the same as core's mathematics, and the constants that they
-//! have in common with Rust.
+//! The parts of WGSL that several stages share, most of which mirror core's mathematics, and the constants that they
+//! share with Rust.
 
 use crate::gpu::Source::{self, Constant, Parts, Text};
 use crate::gpu::Value;
@@ -27,15 +27,16 @@ pub const RAY: Source = Parts(&[
     Text(include_str!("shaders/ray.wgsl")),
 ]);
 
-/// Words of so many bytes.
+/// Number of words in `bytes` bytes.
 pub const fn words(bytes: usize) -> u32 {
     (bytes / size_of::<u32>()) as u32
 }
 
-/// Pixels in an array of floats: the floats of one.
+/// Number of floats of a pixel in an array of floats.
 pub const PIXEL: Source = Source::whole("PIXEL_FLOATS", words(size_of::<Pixel>()));
 
-/// Targets in an array of floats: the floats of one, and those before its members. Its colour comes first.
+/// Layout of targets in an array of floats: the floats of a target, and the offsets of its members. The colour comes
+/// first.
 pub const TARGET: Source = Parts(&[
     Source::whole("TARGET_FLOATS", words(size_of::<Target>())),
     Source::whole("TARGET_WEIGHT", words(offset_of!(Target, weight))),
@@ -63,7 +64,7 @@ pub const SEGMENTS: Source = Text(include_str!("shaders/segments.wgsl"));
 pub const COMPOSITING: Source =
     Parts(&[Source::real("BRIGHTEST", BRIGHTEST as f32), Text(include_str!("shaders/compositing.wgsl"))]);
 
-/// Which samples of a ray are kept.
+/// The rule that keeps the samples of a ray.
 pub const PRUNING: Source = Text(include_str!("shaders/pruning.wgsl"));
 
 /// Functions of the outputs of networks.

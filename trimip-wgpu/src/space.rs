@@ -15,7 +15,8 @@ shared! {
         aabb_max: [f32; 3],
         /// Longest side of the box.
         longest: f32,
-        /// Quotients are computed on the host, exact to half an ulp; a device's own division may be less accurate.
+        /// Inverse size of the box. Quotients are computed on the host, exact to half an ulp; a device's own division
+        /// may be less accurate.
         inverse_extent: [f32; 3],
         /// Radius of the ball in the middle of the box that keeps its shape; 0 in a bounded space.
         ball: f32,

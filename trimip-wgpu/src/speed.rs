@@ -10,10 +10,11 @@ const EXPECTED: f64 = 2.2e7;
 /// (AVX2), with the quickstart's model.
 pub const SOFTWARE_SAMPLES_PER_SECOND: f64 = 1_000.0;
 
-/// Occupancy-grid cells whose density is evaluated per second on the same adapter.
+/// Occupancy-grid cells whose density is evaluated per second on that software adapter.
 pub const SOFTWARE_CELLS_PER_SECOND: f64 = 12_000.0;
 
-/// The training speed of the adapter with this name: that with the number `index` of those that are as good, counted around.
+/// The training speed of the adapter with this name. `index`, modulo their number, selects one of several equally good
+/// adapters.
 ///
 /// # Errors
 /// When there is no such adapter.

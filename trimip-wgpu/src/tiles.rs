@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-/// The tiles of a map: each has as many rays as its samples have room for.
+/// The tiles of a map. A tile has only as many rays that their samples fit into the arrays.
 pub struct Tiles {
     /// Number of samples that a tile has room for.
     capacity: usize,
@@ -23,7 +23,7 @@ impl Tiles {
             .then(|| self.start..self.start + self.chunk.clamp(1, self.count - self.start))
     }
 
-    /// Whether the samples of a tile fitted. `counts` are those of a tile whose rays were marched.
+    /// Returns true if the samples of a tile fitted. `counts` are those of a tile whose rays were marched.
     pub fn fits(&mut self, tile: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
         let length = tile.end - tile.start;
         if let Some(counts) = counts {

@@ -110,8 +110,8 @@ fn text(module: &Module, handle: Handle<Type>) -> String {
     }
 }
 
-/// Compares a struct of a module with its layout in Rust. An array of structs also has the distance between two of them
-/// in common, and a struct that ends before its alignment does not.
+/// Compares a struct of a module with its layout in Rust. A struct in an array must also have the same stride, so its
+/// size must be a multiple of its alignment.
 fn compare(kernel: &Kernel, module: &Module, layout: &Layout) {
     let place = format!("{}: {}", kernel.name(), layout.name);
     let (handle, own) = module
@@ -154,7 +154,7 @@ fn shared_structs_have_one_layout() {
             compare(&kernel, &module, layout);
             compared.insert(layout.text());
         }
-        // Parameters and elements of arrays that the host writes are shared: WGSL alone defines none of them.
+        // Parameters and elements of arrays that the host writes are shared: none of them is defined only in WGSL.
         for (_, variable) in module.global_variables.iter() {
             let shared = match (&variable.space, &module.types[variable.ty].inner) {
                 (AddressSpace::Uniform, TypeInner::Struct { .. }) => Some(variable.ty),
@@ -172,7 +172,7 @@ fn shared_structs_have_one_layout() {
     assert!(compared.len() >= 29, "{} structs are shared", compared.len());
 }
 
-/// Two members that change places in WGSL are found.
+/// Two members that are swapped in WGSL are detected.
 #[test]
 #[should_panic(expected = "size []: Params")]
 fn swapped_members_are_found() {

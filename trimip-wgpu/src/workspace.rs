@@ -1,4 +1,4 @@
-//! What the stages know of their backend: its device, its pool of workspaces, and the scratch memory of a workspace.
+//! The backend as its stages see it: its device, its pool of workspaces, and the scratch memory of a workspace.
 
 use crate::capacity::VIEW_SAMPLES;
 use crate::gpu::Access::{Parameters, Read, Write};
@@ -22,7 +22,7 @@ pub struct WgpuBackend {
     pub(crate) capacity: Mutex<usize>,
 }
 
-/// The last values of the device's counters that were read.
+/// Last values of the device's counters that the host has read.
 #[derive(Default)]
 pub struct DeviceCounters {
     /// Number of occupied cells.
@@ -35,13 +35,13 @@ pub struct DeviceCounters {
 pub struct Stream {
     gpu: Arc<Gpu>,
     gather: Pipeline,
-    /// A number of rows that is known to the host.
+    /// A number of rows that the host has determined.
     pub(crate) count: Buffer<u32>,
     pub(crate) bits: Buffer<u32>,
     pub(crate) blocks: Buffer<u32>,
     pub(crate) old_segments: Buffer<Segment>,
     pub(crate) marks: Buffer<u32>,
-    /// For hybrid rendering, one per ray: 1 if the proxy is sure of it.
+    /// For hybrid rendering: 1 for each ray that the proxy is sure of.
     pub(crate) sure: Buffer<u32>,
     pub(crate) sums: Buffer<f32>,
     /// Destination arrays for gathered rows, by row width in words and the capacity of the arrays that they are swapped with.
@@ -98,8 +98,8 @@ impl Stream {
         self.keep_in(Capacity::Marched, kept, array, width);
     }
 
-    /// As [`keep`](Self::keep), of an array with this capacity. An array swaps its memory with a spare one. Each capacity has its own spare
-    /// arrays; with shared ones, every array would grow to the largest.
+    /// As [`keep`](Self::keep), for an array with this capacity. The array swaps its memory with a spare one. Each capacity has its own
+    /// spare arrays; with shared ones, every array would grow to the largest.
     pub(crate) fn keep_in<T: Pod>(
         &mut self,
         capacity: Capacity,
@@ -110,7 +110,7 @@ impl Stream {
         let spare = self.spares.entry((width, capacity)).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
         let Some((counts, counter)) = kept.counter() else { return };
         let values = width * 4 / size_of::<T>();
-        // Exactly as much: more would grow with every swap.
+        // Exactly the same size: a larger array would grow with every swap.
         let words = array.capacity() * size_of::<T>() / 4;
         if spare.capacity() < words {
             *spare = Buffer::zeros(&self.gpu, words);
@@ -129,7 +129,7 @@ impl Stream {
 
 impl WgpuBackend {
     /// Opens the adapter whose name contains `adapter`, or the best one if `adapter` is empty. `deterministic` sums
-    /// texel gradients in fixed point, which gives the same bits every time.
+    /// texel gradients in fixed point, which gives the same bits in every run.
     ///
     /// # Errors
     /// When there is no such adapter, or it cannot open a device.
@@ -137,8 +137,8 @@ impl WgpuBackend {
         Ok(Self::of(Gpu::open(adapter)?, deterministic))
     }
 
-    /// As [`WgpuBackend::new`], on the adapter number `index` of those that are as good, counted around: one for each rank on a
-    /// machine.
+    /// As [`WgpuBackend::new`], on adapter `index`, modulo their number, among those as good as the best: one for each rank on
+    /// a machine.
     ///
     /// # Errors
     /// As [`WgpuBackend::new`].
@@ -225,7 +225,7 @@ impl WgpuBackend {
 /// The way in which texel gradients are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addition {
-    /// 64-bit fixed point: the same bits every time.
+    /// 64-bit fixed point: the same bits in every run.
     Fixed,
     /// Atomic f32 additions, if the device has them: half the memory.
     Atomic,

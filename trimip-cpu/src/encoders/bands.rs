@@ -1,5 +1,5 @@
-//! What encoders of planes share: bands of rows, each of which is summed by one worker, and the interval of columns
-//! that a step touches in a row.
+//! Shared parts of the encoders of planes: bands of rows, each summed by one worker, and the interval of columns that
+//! a step touches in a row.
 
 use crate::wire::Reader;
 use std::ops::Range;
@@ -39,7 +39,7 @@ impl Extent {
     /// The interval that another rank sent of a row of `columns` columns.
     ///
     /// # Errors
-    /// When the message ends before it, or it ends beyond the row.
+    /// When the message is too short, or the interval ends beyond the row.
     pub fn read(from: &mut Reader<'_>, columns: usize) -> Result<Self> {
         let extent: Self = from.one()?;
         if !extent.is_empty() && extent.end as usize > columns {

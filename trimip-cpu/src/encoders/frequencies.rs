@@ -1,4 +1,4 @@
-//! Positional encodings on the CPU. They have no parameters, so nothing flows back.
+//! Positional encodings on the CPU. They have no parameters, so their backward pass is empty.
 
 use super::{Encoding, GradientMemory, Places};
 use crate::simd::Simd;

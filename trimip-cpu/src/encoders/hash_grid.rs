@@ -21,10 +21,10 @@ pub(crate) struct Grid {
     points: Points<f32>,
 }
 
-/// A place in the unit cube, and the standard deviation around it in longest sides of the box.
+/// A place in the unit cube, and the standard deviation around it in units of the box's longest side.
 type Point = [f32; 4];
 
-/// Points whose corners are computed together: one register of each.
+/// Number of points whose corners are computed together: one vector register per quantity.
 const BLOCK: usize = 16;
 
 /// The points of samples and the gradients of their features.
@@ -35,7 +35,7 @@ pub(crate) struct Gradient {
 }
 
 impl Grid {
-    /// The points of a tile's samples, which are the context unless a sample is read at its centre alone.
+    /// Returns the points of a tile's samples: the context, or the spheres if each sample is read only at its centre.
     fn points<'a>(&self, at: Places<'a>, context: &'a [f32]) -> &'a [Point] {
         if self.points.is_plain() { bytemuck::cast_slice(at.spheres) } else { context.as_chunks().0 }
     }
@@ -186,7 +186,7 @@ impl Corners {
                 let entry = match level.hashed {
                     true => (a ^ b ^ c) & (level.entries - 1),
                     false => {
-                        // Corners beyond the last one begin anew; there are fewer than twice as many as entries.
+                        // Indices beyond the last entry wrap around. They are less than twice the number of entries.
                         let entry = a + b + c;
                         if entry < level.entries { entry } else { entry - level.entries }
                     }
@@ -220,8 +220,8 @@ struct Block {
 }
 
 impl Block {
-    /// Makes a block of at most [`BLOCK`] points. `first` is the index of its first point among all points, of which each sample
-    /// has `reads.count`.
+    /// Makes a block of at most [`BLOCK`] points. `first` is the index of its first point among all points; each sample has
+    /// `reads.count` points.
     #[inline(always)]
     fn new(points: &[Point], first: usize, reads: &Points<f32>) -> Self {
         let mut block = Self {
@@ -238,7 +238,7 @@ impl Block {
         block
     }
 
-    /// The block of a gradient's points from `first` on, and its corners; `None` behind the last one.
+    /// The block of a gradient's points from `first` on, and its corners; `None` after the last point.
     #[inline(always)]
     fn of(gradient: &Gradient, first: usize, level: &Level, reads: &Points<f32>) -> Option<(Self, Corners)> {
         let points = gradient.places.get(first..).filter(|points| !points.is_empty())?;
@@ -269,7 +269,7 @@ impl Block {
 
 /// Reads every level with trilinear interpolation.
 struct Read<'a, const F: usize> {
-    /// Those in use.
+    /// Levels in use.
     levels: &'a [Level],
     reads: &'a Points<f32>,
     table: &'a [f32],
@@ -290,7 +290,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
             let block = Block::new(points, index * BLOCK, reads);
             let mut corners = block.corners(&levels[0], reads);
             for level in 0..levels.len() {
-                // The entries of the next level are on their way while those of this one are read.
+                // The entries of the next level are prefetched while those of this level are read.
                 let next = levels.get(level + 1).map(|next| block.corners(next, reads));
                 if let Some(next) = &next {
                     next.fetch(entries, block.count);

@@ -56,14 +56,14 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     /// Writes a set of partial gradients.
     fn put(&self, gradient: &Self::Gradient, out: &mut Vec<u8>);
 
-    /// Replaces a set of partial gradients by what another rank put.
+    /// Replaces a set of partial gradients by the set that another rank put.
     ///
     /// # Errors
     /// When the message is not a set of partial gradients of this encoder.
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient) -> Result<()>;
 
-    /// For an encoder whose parameters ranks can divide among them; otherwise every rank needs all partial gradients, and sums them
-    /// all.
+    /// Returns the interface of an encoder whose parameters can be divided among ranks. With `None`, every rank needs and sums all
+    /// partial gradients.
     fn divided(&mut self) -> Option<&mut dyn Divided> {
         None
     }
@@ -75,15 +75,16 @@ pub(crate) trait Encoding: Sized + Send + Sync {
 }
 
 /// The interface of an encoder whose parameters are divided among ranks. Each rank sums the gradient of its part and updates
-/// it; then the ranks tell each other what changed.
+/// it; then the ranks exchange the changed parameters.
 pub(crate) trait Divided {
     /// Chooses this rank's part. With [`Rank::ONLY`] nothing is divided.
     fn divide(&mut self, this_rank: Rank);
 
-    /// After [`Encoding::reduce`], which has summed the parts of this rank: writes what rank `to` needs of these sums.
+    /// Writes the sums that rank `to` needs. Called after [`Encoding::reduce`], which sums the leaves of this rank.
     fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>);
 
-    /// Adds what the other ranks put for this one, by rank. Afterwards the gradient of this rank's rows has the parts of all.
+    /// Adds the sums that the other ranks put for this one; `from` is indexed by rank. The gradient of this rank's part then
+    /// includes the leaves of all ranks.
     ///
     /// # Errors
     /// When a message is not what [`put_sums`](Self::put_sums) writes for this rank.
@@ -98,7 +99,7 @@ pub(crate) trait Divided {
     /// After the update: writes the changed parameters of this rank's part.
     fn put_changed(&self, parameters: &[f32], out: &mut Vec<u8>);
 
-    /// Takes what `rank` put.
+    /// Reads the changed parameters that `rank` put.
     ///
     /// # Errors
     /// When the message is not what [`put_changed`](Self::put_changed) writes there.
@@ -107,7 +108,7 @@ pub(crate) trait Divided {
     /// The parameters of the part of `rank`: ranges of the first slot.
     fn part(&self, rank: usize) -> Vec<Range<usize>>;
 
-    /// Number of touched parameters, once all that changed is here.
+    /// Number of touched parameters of all ranks, valid once the changes of every rank are taken.
     fn count_touched(&self) -> usize;
 }
 

@@ -1,6 +1,6 @@
-//! Factored tensors on the CPU, sixteen components at a time. Gradients of lines are summed as they come, in arrays of each
-//! partial gradients. Those of planes are kept by sample: a sample is listed in each band of rows that it touches, and one worker sums
-//! a band in sample order.
+//! Factored tensors on the CPU, sixteen components at a time. Gradients of lines are summed at once, in arrays of each set of partial
+//! gradients. Gradients of planes are kept by sample: a sample is listed in each band of rows that it touches, and one worker sums a
+//! band in sample order.
 
 use super::bands::{BANDS, first_row, owner};
 use super::{Encoding, GradientMemory, Places};
@@ -18,13 +18,13 @@ use trimip_core::{Config, Result};
 /// The shape of the factors and where they are in the parameters.
 pub(crate) struct Factors {
     simd: Simd,
-    /// By stage of growth, and the one in use.
+    /// Shapes by stage of growth; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
     arrays: [Arrays; 2],
 }
 
-/// Where the factors of a tensor are in the parameters.
+/// Ranges of a tensor's factors in the parameters.
 #[derive(Clone)]
 struct Arrays {
     kind: Kind,
@@ -48,7 +48,7 @@ pub(crate) struct Gradient {
 type Along = (usize, f32);
 
 impl Factors {
-    /// Where a sample lies along each axis.
+    /// Place of a sample along each axis.
     #[inline(always)]
     fn along(shape: &Shape, position: [f32; 3]) -> [Along; 3] {
         std::array::from_fn(|axis| between(shape.sides[axis], position[axis]))

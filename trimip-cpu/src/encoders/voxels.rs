@@ -19,7 +19,7 @@ const MOST: usize = 3 * COUNT;
 /// The grid, and where its values are in the parameters.
 pub(crate) struct Grid {
     simd: Simd,
-    /// By stage of growth, and the one in use.
+    /// Shapes by stage of growth; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
     density: Range<usize>,

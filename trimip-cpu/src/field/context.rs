@@ -1,4 +1,5 @@
-//! What the field keeps of a tile from forward to backward: activations, the samples that have a colour, and the views of rays.
+//! The field's context of a tile, kept from the forward to the backward pass: activations, the samples that have a colour, and
+//! the views of rays.
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
@@ -30,7 +31,8 @@ impl Context {
     pub(super) fn keep_drawn(&mut self, drawn: &[u32], [density, color]: [&Mlp; 2], shape: usize) {
         let Self { lit, directions, shape: shapes, .. } = self;
         self.density.keep(density, drawn);
-        // The rows of colours among all that have one, and then of each its row among the drawn ones.
+        // `colors` lists the drawn samples by their index among those with a colour, `rows` by their index among the
+        // drawn ones.
         let mut colors = std::mem::take(&mut lit.kept);
         colors.clear();
         if lit.listed {
@@ -60,13 +62,13 @@ impl Context {
     }
 }
 
-/// The samples that have a colour, if others are too faint for one.
+/// The samples whose colour is computed, if the others are too faint.
 #[derive(Default)]
 pub struct Lit {
     /// True if `rows` lists them; all samples have a colour otherwise.
     pub(super) listed: bool,
     pub(super) rows: Vec<u32>,
-    /// Their rows of the density network's output, padded, and the gradient by these.
+    /// The density network's outputs of these samples, padded, and their gradient.
     pub(super) outputs: Buffer<f32>,
     pub(super) gradient: Buffer<f32>,
     /// Scratch memory of the draw of samples.
@@ -75,7 +77,7 @@ pub struct Lit {
 }
 
 impl Lit {
-    /// Lists the samples that have at least the weight `least` in their ray; all of them if it is 0.
+    /// Lists the samples whose compositing weight is at least `least`. With `least` = 0, all samples have a colour.
     pub fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
         self.listed = least > 0.0;
         self.rows.clear();
@@ -98,7 +100,7 @@ impl Lit {
         if self.listed { self.rows.len() } else { all }
     }
 
-    /// The row of the sample with the colour number `i`.
+    /// The row of sample `i` of those with a colour.
     pub fn row(&self, i: usize) -> usize {
         if self.listed { self.rows[i] as usize } else { i }
     }

@@ -1,4 +1,4 @@
-//! C = A·W with the operations before and after it: a layer's forward pass, and the gradient of its input.
+//! C = A·W with an initial value and a last operation: a layer's forward pass, and the gradient of its input.
 
 use super::operands::{Epilogue, Finish, Start};
 use super::packed::Packed;

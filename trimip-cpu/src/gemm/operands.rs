@@ -37,7 +37,7 @@ pub struct Epilogue<'a> {
     pub finish: Finish<'a>,
 }
 
-/// How a weight gradient is computed, and the shapes of its factors: A is [rows, k], D is [rows, n].
+/// Parameters of a weight gradient, and the shapes of its factors: A is [rows, k], D is [rows, n].
 #[derive(Clone, Copy, Debug)]
 pub struct Product {
     /// Instruction set.

@@ -22,7 +22,7 @@ fn close(found: f32, expected: f64, terms: usize) {
 
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::Bf16];
 
-/// Rounds the values to what a precision can represent.
+/// Rounds the values to a precision.
 fn hold(values: &mut [f32], precision: Precision) {
     if precision == Precision::Bf16 {
         values.iter_mut().for_each(|x| *x = f32::from_bits(u32::from(crate::simd::bf16(*x)) << 16));

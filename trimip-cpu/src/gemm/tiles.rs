@@ -7,17 +7,17 @@ use super::words::ROWS;
 use crate::simd::amx::{Shapes, release, tile, transpose};
 use crate::simd::{Kernel, Lanes};
 
-/// Words or columns of a tile, and its most rows.
+/// Width of a tile in words or columns, and its maximum number of rows.
 const SIDE: usize = 16;
 
-/// Tiles that are summed at a time.
+/// Number of tiles of C that are computed at a time.
 const SUMS: usize = 4;
 
 /// Bytes of an f32 or a word.
 const WORD: usize = 4;
 
-/// Tile A times the `N` tiles at `$b(j)`, which are `$stride(j)` bytes a row, is added to the sums 0 to `N` - 1; `$at` receives the
-/// tiles at `$b(j)`.
+/// Adds the products of tile `$a` and the `$n` tiles at `$b(j)`, with rows `$stride(j)` bytes apart, to the sums 0 to `$n` - 1.
+/// Each tile at `$b(j)` is loaded into tile `$at`.
 macro_rules! add_products {
     ($n:ident, $a:literal, $at:literal, $b:expr, $stride:expr) => {
         tile!(load $at, $b(0), $stride(0));
@@ -37,7 +37,7 @@ macro_rules! add_products {
     };
 }
 
-/// Stores the sums 0 to `N` - 1 beside each other.
+/// Stores the sums 0 to `N` - 1 next to each other.
 macro_rules! store_sums {
     ($n:ident, $to:expr, $stride:expr) => {
         tile!(store 0, $to, $stride);
@@ -93,7 +93,7 @@ impl Kernel for Multiply<'_> {
 }
 
 impl Multiply<'_> {
-    /// Twelve rows and `N`·16 columns of C.
+    /// Computes twelve rows and `N`·16 columns of C.
     ///
     /// # Safety
     /// The matrices hold these rows and columns, and the tiles have their shapes.
@@ -138,7 +138,7 @@ impl Multiply<'_> {
         self.end::<L>(row, column, N);
     }
 
-    /// Adds what twelve rows start from and applies the last operation, while they are in the cache.
+    /// Adds the initial values of twelve rows and applies the last operation while the rows are in the cache.
     #[inline(always)]
     fn end<L: Lanes>(&mut self, row: usize, column: usize, tiles: usize) {
         if matches!((self.start, self.finish), (Start::Zero, Finish::Store)) {
@@ -172,7 +172,7 @@ impl Multiply<'_> {
     }
 }
 
-/// Tiles of rows of words that are transposed at a time.
+/// Number of tiles of A that are transposed at a time.
 const SECTION: usize = 8;
 
 /// G += Aᵀ·D; see [`accumulate`](super::accumulate), which checks the shapes. Both widths are multiples of 16.
@@ -198,7 +198,7 @@ impl Kernel for Accumulate<'_> {
                 self.section(count, self.a[first * k..].as_ptr(), self.d[first * n..].as_ptr());
             }
             if whole < rows {
-                // The last rows, filled up with zeros.
+                // The last rows, padded with zeros.
                 let filled = |from: &[f32], width: usize| {
                     let mut last = from[whole * width..rows * width].to_vec();
                     last.resize(SIDE * width, 0.0);
@@ -213,7 +213,7 @@ impl Kernel for Accumulate<'_> {
 }
 
 impl Accumulate<'_> {
-    /// Adds the products of `count`·16 rows, at most eight times sixteen.
+    /// Adds the products of `count`·16 rows; `count` is at most [`SECTION`].
     ///
     /// # Safety
     /// `a` and `d` hold these rows; the tiles have their shapes.

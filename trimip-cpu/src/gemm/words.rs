@@ -3,7 +3,7 @@
 use crate::simd::Lanes;
 use trimip_core::config::Precision;
 
-/// Rows of a register tile. Activation buffers hold a multiple of it.
+/// Rows of a register tile. Activation buffers hold a multiple of this many rows.
 pub const ROWS: usize = 12;
 
 /// Rows rounded up to whole tiles.

@@ -1,4 +1,4 @@
-//! The activations of a network: one buffer of rows a layer, of which rows can be kept, appended and gathered.
+//! The activations of a network: one buffer of rows per layer, with operations that keep, append and gather rows.
 
 use super::Mlp;
 use crate::buffer::Buffer;
@@ -22,8 +22,8 @@ impl Activations {
         &self.layers[self.layers.len() - 1]
     }
 
-    /// Replaces the output rows `kept` by weighted sums: row i times `shares[i]`, minus each later row times its share as long
-    /// as that is negative.
+    /// Replaces the output rows `kept` by weighted sums: row i times `fractions[i]`, minus each following row times its
+    /// fraction as long as that is negative.
     pub fn blend(&mut self, mlp: &Mlp, kept: &[u32], fractions: &[f32]) {
         let width = mlp.outputs();
         let Some(output) = self.layers.last_mut() else { return };

@@ -23,7 +23,7 @@ impl MlpGradient {
         self.layers.iter_mut().chain([&mut self.shared, &mut self.joined]).chain(&mut self.biases)
     }
 
-    /// Adds another gradient, and sets it to zero.
+    /// Adds the gradient `other`, and sets `other` to zero.
     pub fn fold(&mut self, other: &mut Self) {
         for (sums, values) in self.buffers_mut().zip(other.buffers_mut()) {
             sums.iter_mut().zip(values.iter()).for_each(|(sum, value)| *sum += value);
@@ -49,9 +49,9 @@ impl MlpGradient {
 pub struct Flow<'a> {
     /// Gradient of the network's output, with padded rows and width.
     pub output: &'a [f32],
-    /// Receives the gradient of its input, likewise.
+    /// Receives the gradient of the network's input, padded likewise.
     pub input: &'a mut Buffer<f32>,
-    /// Gets the gradient of the weights added.
+    /// The gradient of the weights is added to this.
     pub weights: &'a mut MlpGradient,
 }
 

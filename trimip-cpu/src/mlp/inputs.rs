@@ -7,14 +7,14 @@ use trimip_core::config::Precision;
 /// Maximum number of outputs for which a last layer is computed by dot products.
 pub(super) const FEW: usize = 4;
 
-/// What a padded input of a layer is multiplied by.
+/// Factor of a padded input of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputRow {
-    /// Nothing: padding.
+    /// Zero: padding.
     Zero,
     /// A row of the weights.
     Weights(usize),
-    /// One, for the first output alone, which has no weights then.
+    /// One for the first output, which then has no weights, and zero for the others.
     One,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Inputs {
     pub(super) forward: Forward,
     /// One per padded input.
     pub(super) rows: Vec<InputRow>,
-    /// Outputs before those that have weights: 1 where the first one is a sum.
+    /// Number of outputs before those with weights: 1 if the first output is a sum of inputs.
     pub(super) offset: usize,
 }
 

@@ -1,8 +1,8 @@
-//! A small ReLU network over rows of a tile, with or without biases. Widths are padded to multiples of 16 with zero weights,
-//! and up to four outputs to four; the parameters are not padded. Inputs that many rows share (all samples of a ray)
-//! may go through the first layer once per group of rows. One later layer may read the input again. A network without
-//! layers copies its input. Activations and gradients are f32. At bf16 the factors of a
-//! layer's products are rounded immediately before the product, except in a last layer of few outputs.
+//! A small ReLU network over rows of a tile, with or without biases. Widths are padded with zero weights to multiples of 16,
+//! and a last layer of up to four outputs to four; the parameters are not padded. For inputs that many rows share (all
+//! samples of a ray), the first layer may be computed once per group of rows. One later layer may read the input again. A
+//! network without layers copies its input. Activations and gradients are f32. At bf16 the factors of a layer's products are
+//! rounded immediately before the product, except in a last layer of few outputs.
 
 mod activations;
 mod gradient;
@@ -30,9 +30,9 @@ pub struct Mlp {
     copied: usize,
     /// First-layer weights of the shared inputs, if there are any.
     shared: Option<Inputs>,
-    /// Which layer reads the network's input again.
+    /// The layer that reads the network's input again.
     joined: Option<usize>,
-    /// Row numbers of a block, and zeros: where products of a layer start from.
+    /// Row numbers of a block, and zeros: indices of the rows from which a layer's products start.
     each: Vec<u32>,
     first: Vec<u32>,
 }
@@ -41,9 +41,9 @@ struct Layer {
     inputs: Inputs,
     /// The transpose, [outputs, inputs], for the gradient of the inputs.
     backward: Packed,
-    /// Padded biases; empty without.
+    /// Padded biases; empty if the network has none.
     biases: Buffer<f32>,
-    /// Weights of the network's input, where it joins again, and their transpose.
+    /// If the network's input joins at this layer: the weights of that input, and their transpose.
     joined: Option<(Inputs, Packed)>,
     /// Number of outputs without padding.
     outputs: usize,
@@ -97,7 +97,7 @@ impl Layer {
         self.backward.k()
     }
 
-    /// What products of the layer start from: its biases, by a row number of 0 for each row.
+    /// Initial values of the layer's products: its biases. `first` holds the row number 0 for each row.
     fn start<'a>(&'a self, first: &'a [u32]) -> Start<'a> {
         match self.biases.is_empty() {
             true => Start::Zero,
@@ -107,8 +107,8 @@ impl Layer {
 }
 
 impl Mlp {
-    /// The network `shape`. `input_rows` tells what each padded input of the first layer is multiplied by; `shared_rows` does
-    /// the same for the inputs that groups of rows share.
+    /// The network `shape`. `input_rows` has the factor of each padded input of the first layer, `shared_rows` that of each
+    /// input that groups of rows share.
     pub fn new(
         shape: &Network,
         input_rows: Vec<InputRow>,

@@ -2,7 +2,7 @@
 //! bytes, and a product of two tiles of bf16 pairs that is added to a tile of f32. Rust has no stable intrinsics for them, so
 //! they are inline assembly.
 //!
-//! The registers are of one thread. Whoever uses them calls [`Shapes::load`] first and [`release`] last.
+//! Each thread has its own registers. Call [`Shapes::load`] before their first use and [`release`] after the last.
 
 use std::arch::x86_64::*;
 use std::sync::OnceLock;
@@ -16,12 +16,12 @@ pub fn is_available() -> bool {
 /// CPUID leaf 7: AMX-TILE and AMX-BF16.
 fn has_tiles() -> bool {
     const TILE_AND_BF16: u32 = 1 << 24 | 1 << 22;
-    // Leaf 0 tells whether there is a leaf 7.
+    // Leaf 0 reports the highest leaf.
     __cpuid(0).eax >= 7 && __cpuid_count(7, 0).edx & TILE_AND_BF16 == TILE_AND_BF16
 }
 
-/// Asks Linux for the registers, which a process has to do before their first use (`arch_prctl`, since Linux 5.16). A system
-/// that does not know the request refuses it.
+/// Requests the registers from Linux, which a process has to do before their first use (`arch_prctl`, since Linux 5.16).
+/// Older kernels refuse the request.
 #[cfg(target_os = "linux")]
 fn is_permitted() -> bool {
     const ARCH_PRCTL: i64 = 158;
@@ -48,7 +48,7 @@ fn is_permitted() -> bool {
     false
 }
 
-/// Rows and bytes a row of the eight tiles, in the layout of `LDTILECFG`, palette 1.
+/// Rows, and bytes per row, of the eight tiles, in the layout of `LDTILECFG`, palette 1.
 #[repr(C, align(64))]
 pub struct Shapes([u8; 64]);
 
@@ -64,7 +64,7 @@ impl Shapes {
         Self(bytes)
     }
 
-    /// Gives the tiles of this thread these shapes, and sets them to zero.
+    /// Configures the tiles of this thread with these shapes, and sets them to zero.
     ///
     /// # Safety
     /// [`is_available`] is true.
@@ -77,7 +77,7 @@ impl Shapes {
     }
 }
 
-/// Gives the tiles of this thread back, so that the system need not save them.
+/// Releases the tiles of this thread, so that the system need not save them.
 ///
 /// # Safety
 /// [`is_available`] is true.
@@ -87,8 +87,8 @@ pub unsafe fn release() {
     unsafe { std::arch::asm!("tilerelease", options(nostack, nomem, preserves_flags)) };
 }
 
-/// Sets a tile to zero, reads or writes its rows at an address with a distance of so many bytes between rows, or adds the
-/// product of two tiles to a third.
+/// Sets a tile to zero, loads or stores its rows at an address with a stride in bytes, or adds the product of two tiles
+/// to a third.
 macro_rules! tile {
     (zero $tile:literal) => {
         std::arch::asm!(concat!("tilezero tmm", $tile), options(nostack, nomem, preserves_flags))
@@ -142,7 +142,7 @@ pub unsafe fn transpose(from: *const f32, stride: usize, to: &mut [f32; 256]) {
             r[i + 2] = _mm512_unpacklo_epi64(t[i + 1], t[i + 3]);
             r[i + 3] = _mm512_unpackhi_epi64(t[i + 1], t[i + 3]);
         }
-        // The parts change places: 4 by 4 of them are transposed.
+        // Transposes blocks of 4×4 of the 128-bit parts.
         for j in 0..4 {
             let low = [0, 8].map(|i| _mm512_shuffle_i32x4::<0b10_00_10_00>(r[i + j], r[i + 4 + j]));
             let high = [0, 8].map(|i| _mm512_shuffle_i32x4::<0b11_01_11_01>(r[i + j], r[i + 4 + j]));

@@ -17,38 +17,38 @@ pub unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
 #[derive(Clone, Copy)]
 pub struct Zmm<const BF16: bool>(__m512);
 
-// Unsafe below: this set is at work, because `run` and `run_bf16` are the only ways here and their caller checked the
+// Unsafe below: this set is available, because `run` and `run_bf16` are the only entries and their caller checked the
 // processor.
 impl<const BF16: bool> Lanes for Zmm<BF16> {
     const WIDE: bool = true;
     #[inline(always)]
     fn splat(value: f32) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         Self(unsafe { _mm512_set1_ps(value) })
     }
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
-        // SAFETY: this set is at work, and the caller has 16 values.
+        // SAFETY: this set is available, and the caller has 16 values.
         Self(unsafe { _mm512_loadu_ps(from) })
     }
     #[inline(always)]
     unsafe fn store(self, to: *mut f32) {
-        // SAFETY: this set is at work, and the caller has room for 16 values.
+        // SAFETY: this set is available, and the caller has room for 16 values.
         unsafe { _mm512_storeu_ps(to, self.0) }
     }
     #[inline(always)]
     fn mul_add(self, factor: Self, addend: Self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         Self(unsafe { _mm512_fmadd_ps(self.0, factor.0, addend.0) })
     }
     #[inline(always)]
     fn relu(self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         Self(unsafe { _mm512_max_ps(self.0, _mm512_setzero_ps()) })
     }
     #[inline(always)]
     fn where_positive(self, mask: Self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         unsafe {
             let positive = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(mask.0, _mm512_setzero_ps());
             Self(_mm512_maskz_mov_ps(positive, self.0))
@@ -56,22 +56,22 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     }
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         Self(unsafe { _mm512_add_ps(self.0, other.0) })
     }
     #[inline(always)]
     fn sum(self) -> f32 {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         unsafe { _mm512_reduce_add_ps(self.0) }
     }
     #[inline(always)]
     fn first(self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         unsafe { Self(_mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(self.0)))) }
     }
     #[inline(always)]
     fn second(self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         unsafe {
             let upper = _mm512_set1_epi32(0xffff_0000_u32 as i32);
             Self(_mm512_castsi512_ps(_mm512_and_si512(_mm512_castps_si512(self.0), upper)))
@@ -80,7 +80,7 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     #[inline(always)]
     fn dot_add(self, factor: Self, addend: Self) -> Self {
         if BF16 {
-            // SAFETY: this set is at work.
+            // SAFETY: this set is available.
             Self(unsafe { _mm512_dpbf16_ps(addend.0, words(self.0), words(factor.0)) })
         } else {
             self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
@@ -89,12 +89,12 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     #[inline(always)]
     fn pair(self, second: Self) -> Self {
         if !BF16 {
-            // SAFETY: this set is at work.
+            // SAFETY: this set is available.
             return Self(unsafe { round(self.0, second.0) });
         }
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         unsafe {
-            // The low halves of the words hold `self`, the high halves `second`.
+            // The low half of the register holds `self`, the high half `second`.
             let halves: __m512i = std::mem::transmute(_mm512_cvtne2ps_pbh(second.0, self.0));
             let firsts = _mm512_cvtepu16_epi32(_mm512_castsi512_si256(halves));
             let seconds = _mm512_cvtepu16_epi32(_mm512_extracti64x4_epi64::<1>(halves));
@@ -103,7 +103,7 @@ impl<const BF16: bool> Lanes for Zmm<BF16> {
     }
     #[inline(always)]
     fn pair_neighbours(self, next: Self) -> Self {
-        // SAFETY: this set is at work.
+        // SAFETY: this set is available.
         unsafe {
             if BF16 {
                 return Self(std::mem::transmute::<__m512bh, __m512>(_mm512_cvtne2ps_pbh(next.0, self.0)));

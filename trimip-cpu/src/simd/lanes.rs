@@ -1,4 +1,4 @@
-//! What a kernel is, and the operations of sixteen lanes that it is written over.
+//! Kernels, and the operations on sixteen lanes that they are written over.
 
 use super::bf16::pair;
 

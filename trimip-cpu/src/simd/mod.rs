@@ -26,7 +26,7 @@ pub use plain::Plain;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Simd {
-    /// x86-64 with the set below, and matrix tiles for products of bf16 pairs.
+    /// x86-64 with the set [`Simd::Avx512Bf16`], and matrix tiles for products of bf16 pairs.
     Amx,
     /// x86-64 with AVX-512F, BW and BF16: one register, and dot products of bf16 pairs.
     Avx512Bf16,
@@ -80,7 +80,7 @@ impl Simd {
         }
     }
 
-    /// True if this is a set with matrix tiles and the processor has them.
+    /// True if this set has matrix tiles and the processor supports them.
     pub(crate) fn has_tiles(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]

@@ -1,4 +1,4 @@
-//! Positional encodings on the GPU. They have no parameters, so nothing flows back.
+//! Positional encodings on the GPU. They have no parameters, so their backward pass is empty.
 
 use super::{Encoding, FeatureGradients, GAUSSIANS, Places, whole};
 use crate::gpu::Access::{Parameters, Read, Write};

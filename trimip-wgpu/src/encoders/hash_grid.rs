@@ -37,7 +37,7 @@ shared! {
         /// Size of the box, world units, and its longest side.
         extent: [f32; 3],
         longest: f32,
-        /// 1 or 6.
+        /// Points per sample: 1 or 6.
         points: u32,
         counter: u32,
     }

@@ -53,7 +53,7 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         parameter_gradient: &Buffer<f32>,
     );
 
-    /// Its kernels in every variant, for validation.
+    /// The encoder's kernels in every variant, for validation.
     #[cfg(test)]
     fn kernels() -> Vec<Kernel>;
 }

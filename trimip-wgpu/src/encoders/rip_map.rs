@@ -14,7 +14,7 @@ use trimip_core::{Aabb, Config};
 shared! {
     /// A plane with a ripmap.
     struct Plane as Plane {
-        /// From the unit cube to the place along a row and across the rows: factors, and the place of the origin.
+        /// Map from the unit cube to the place along a row and across the rows: factors, and the place of the origin.
         places: [[f32; 4]; 2],
         /// Unit vectors along the two axes, and half of log2 of the variance that reads level 0.
         axes: [[f32; 4]; 2],
@@ -44,7 +44,7 @@ shared! {
     struct Pass as Pass {
         planes: u32,
         levels: u32,
-        /// The level that is computed, or that gives its gradient.
+        /// The level that is computed, or whose gradient is passed to finer levels.
         level: u32,
     }
 }

@@ -9,9 +9,9 @@ use crate::workspace::Addition;
 use std::sync::Arc;
 use trimip_core::field::params::ALIGNMENT;
 
-/// Gradients read from fixed point or f32.
+/// Reads gradients in fixed point.
 pub const OWN_FIXED: Source = Parts(&[FIXED, Text(include_str!("../shaders/own_fixed.wgsl"))]);
-/// As [`OWN_FIXED`].
+/// Reads gradients in f32.
 pub const OWN_FLOAT: Source = Text(include_str!("../shaders/own_float.wgsl"));
 
 /// All ways of adding, for validation.
@@ -28,7 +28,7 @@ impl Addition {
         }
     }
 
-    /// A kernel that calls `add_base` alone.
+    /// A kernel that calls only `add_base`.
     pub fn kernel(self, entry: &'static str, sources: &[Source], bindings: &[(u32, Access)]) -> Kernel {
         let own: &[(u32, Access)] = if self == Self::Fixed { &[(6, Write), (8, Write)] } else { &[] };
         Kernel::new(entry, sources, bindings).and(&[self.source()], own)
@@ -96,8 +96,8 @@ impl Scatter {
         self.gpu.clear(self.high.raw(), 0, bytes(self.high.capacity()));
     }
 
-    /// Adds the gradients of a tile's features. `places` are what the kernel reads of each sample; `rest` are its
-    /// bindings after those of the sums.
+    /// Adds the gradients of a tile's features. `places` is the array that the kernel reads for each sample; `rest`
+    /// are its bindings after those of the sums.
     pub fn add<P: Shared>(
         &self,
         from: &FeatureGradients,
@@ -113,7 +113,7 @@ impl Scatter {
         self.gpu.dispatch(&self.add, &binds, params, size);
     }
 
-    /// Turns the sums into f32.
+    /// Converts the sums to f32.
     pub fn to_float(&self, sums: &Buffer<f32>) {
         if let Some(to_float) = &self.to_float {
             let count = self.length as u32 / 4;

@@ -16,9 +16,10 @@ shared! {
     struct Params as Params {
         /// Grid points along the box's axes.
         sides: [u32; 3],
-        /// 3, or 0 for products of three lines.
+        /// Number of planes: 3, or 0 for products of three lines.
         planes: u32,
-        /// Where the planes and the lines of the density and of the colour tensor begin, in units of four floats.
+        /// First index of the planes and the lines of the density tensor, then of the colour tensor, in units of four
+        /// floats.
         starts: [u32; 4],
         /// Components of the density and of the colour tensor, in units of four.
         components: [u32; 2],
@@ -51,10 +52,10 @@ fn add(addition: Addition) -> Kernel {
 /// The shape of the factors, and the sums of their gradients.
 pub(crate) struct Factors {
     gpu: Arc<Gpu>,
-    /// By stage of growth, and the one in use.
+    /// Shapes by stage of growth; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
-    /// Where the planes and lines of both tensors begin.
+    /// First index of the planes and the lines of each tensor.
     starts: [u32; 4],
     stride: u32,
     read: Pipeline,

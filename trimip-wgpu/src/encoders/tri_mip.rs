@@ -56,7 +56,7 @@ pub const TRI_MIP: Source = Parts(&[
     Text(include_str!("shaders/tri_mip.wgsl")),
 ]);
 
-/// The texels' features of a sample, in units of four.
+/// Number of features that a sample reads from texels, in units of four.
 const FOURS: u32 = FEATURES as u32 / 4;
 
 /// Computes the features of samples.
@@ -110,7 +110,7 @@ pub(crate) struct Planes {
     scatter: Pipeline,
     pull: Pipeline,
     pyramid: Pyramid,
-    /// The pyramid of the planes in full size.
+    /// The pyramid at full resolution; `pyramid` is that of the growth stage.
     whole: Pyramid,
     derived: Buffer<f32>,
     derived_gradient: Buffer<f32>,

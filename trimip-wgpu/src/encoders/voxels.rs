@@ -19,7 +19,7 @@ shared! {
         sides: [u32; 3],
         /// Floats in a row of features.
         stride: u32,
-        /// Where the densities and the colours begin.
+        /// Index of the first density and of the first colour.
         density: u32,
         colors: u32,
         /// Spherical harmonics of a colour.
@@ -58,14 +58,14 @@ fn add(addition: Addition) -> Kernel {
 /// The grid, and the sums of its gradients.
 pub(crate) struct Grid {
     gpu: Arc<Gpu>,
-    /// By stage of growth, and the one in use.
+    /// Shapes by stage of growth; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
-    /// Where the densities and the colours begin.
+    /// Index of the first density and of the first colour.
     starts: [u32; 2],
     stride: u32,
     read: Pipeline,
-    /// Sums over both, up to the next slot.
+    /// Sums over densities and colours, up to the next slot.
     sums: Scatter,
 }
 

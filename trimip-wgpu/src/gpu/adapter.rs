@@ -76,7 +76,7 @@ pub fn choose(name: &str) -> Result<wgpu::Adapter> {
     choose_among(all_adapters(), name)
 }
 
-/// As [`choose`], but the adapter number `index` of those that are as good, counted around.
+/// As [`choose`], but selects adapter `index`, modulo their number, among those as good as the best.
 ///
 /// # Errors
 /// As [`choose`].

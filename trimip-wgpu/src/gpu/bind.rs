@@ -1,4 +1,4 @@
-//! What a dispatch is given beside its kernel: bindings of buffers, and the amount of work.
+//! Arguments of a dispatch in addition to its kernel: bindings of buffers, and the amount of work.
 
 use std::ops::Deref;
 
@@ -39,7 +39,8 @@ impl<'a> Binds<'a> {
         Self { all: [first; MOST_BUFFERS], count: 1 }
     }
 
-    /// Appends bindings. Those beyond [`MOST_BUFFERS`] are left out, and the dispatch then finds too few.
+    /// Appends bindings. Bindings beyond [`MOST_BUFFERS`] are dropped, and the dispatch then panics because some are
+    /// missing.
     pub fn and(mut self, binds: impl IntoIterator<Item = Bind<'a>>) -> Self {
         for bind in binds {
             if let Some(place) = self.all.get_mut(self.count) {
@@ -66,7 +67,7 @@ pub enum Size<'a> {
     Items(u64),
     /// Number of workgroups.
     Groups(u64),
-    /// A count on the device times `per` items, `times` workgroups for every `group` items.
+    /// The number of items is a count on the device times `per`; `times` workgroups cover every `group` items.
     Counted {
         /// Counters on the device.
         counts: &'a wgpu::Buffer,

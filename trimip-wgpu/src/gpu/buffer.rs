@@ -91,7 +91,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Number of values, if the host knows it.
+    /// Number of values; `None` if it is stored on the device.
     pub fn known_len(&self) -> Option<usize> {
         match self.length {
             Length::DeviceCounters(length) => Some(length),

@@ -1,5 +1,5 @@
-//! Measures the peak rates of a device: bytes copied and multiply-adds per second. They put the speed of a stage in
-//! relation to what the device can do.
+//! Measures the peak rates of a device: bytes copied and multiply-adds per second. They relate the speed of a stage
+//! to the capability of the device.
 
 use super::bind::Size;
 use super::buffer::Buffer;

@@ -35,7 +35,7 @@ macro_rules! mirror {
             };
         }
 
-        // The described types are those of the fields.
+        // Checks that the described types are those of the fields.
         const _: fn(&$name) = |value| {
             $(let _: &$kind = &value.$field;)*
         };

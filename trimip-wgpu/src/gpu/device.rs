@@ -64,7 +64,7 @@ impl Gpu {
         pollster::block_on(Self::of(choose(name)?))
     }
 
-    /// As [`Gpu::open`], but the adapter number `index` of those that are as good, counted around.
+    /// As [`Gpu::open`], but selects adapter `index`, modulo their number, among those as good as the best.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -110,7 +110,7 @@ impl Gpu {
         };
         let refused = note(&failure);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| refused(error.to_string())));
-        // A lost device is the cause of everything that was refused after it.
+        // The loss of the device replaces other failures, because it causes them.
         let lost = Arc::clone(&failure);
         device.set_device_lost_callback(move |reason, message| {
             *lock(&lost) = Some(format!("the device was lost ({reason:?}): {message}"));
@@ -217,7 +217,7 @@ impl Gpu {
         self.recorder().encoder().copy_buffer_to_buffer(from, first, to, place, bytes);
     }
 
-    /// The pipeline of a kernel. A stage asks for it once, when it is built.
+    /// The pipeline of a kernel. A stage requests it once, when the stage is built.
     pub fn pipeline(&self, kernel: Kernel) -> Pipeline {
         self.pipelines.of(kernel)
     }
@@ -245,7 +245,7 @@ impl Gpu {
         self.submit_recorder(&mut self.recorder());
     }
 
-    /// As [`Gpu::submit`], for who holds the recorder.
+    /// As [`Gpu::submit`], for a caller that holds the recorder.
     pub(super) fn submit_recorder(&self, recorder: &mut Recorder) {
         let submitted = recorder.submit(&self.queue);
         self.counters.submissions.fetch_add(submitted.into(), Ordering::Relaxed);
@@ -295,7 +295,7 @@ impl Gpu {
     }
 }
 
-/// Leave for the experimental features that are requested.
+/// Permission for the experimental features that are requested.
 #[allow(unsafe_code)] // the only way to have cooperative matrices
 fn experimental() -> wgpu::ExperimentalFeatures {
     // SAFETY: of the experimental features, only cooperative matrices are requested. Every load and store of them stays

@@ -10,7 +10,7 @@ pub const GROUP: u32 = 64;
 /// Index of the invocation.
 pub const GRID: Source = Source::Text(include_str!("shaders/grid.wgsl"));
 
-/// How a kernel uses a binding.
+/// Access of a kernel to a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Reads values.

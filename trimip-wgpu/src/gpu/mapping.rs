@@ -10,7 +10,7 @@ pub struct Mapping(Arc<Mutex<State>>);
 
 #[derive(Default)]
 struct State {
-    /// Whether the mapping succeeded; `None` while it is pending.
+    /// True if the mapping succeeded; `None` while it is pending.
     result: Option<bool>,
     waker: Option<Waker>,
 }

@@ -1,4 +1,4 @@
-//! Cooperative matrices of an adapter: what the kernels of matrix products need of them.
+//! Cooperative matrices of an adapter: the properties that the kernels of matrix products need.
 
 /// Cooperative matrices of a device, with f16 factors and f32 sums.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,7 +1,7 @@
-//! The device, apart from what is computed on it. A [`Gpu`] is an opened adapter; a [`Buffer`] is an array on it. A
-//! [`Kernel`] is composed of [`Source`]s, among them structs and constants that Rust and WGSL share; its [`Pipeline`] is
-//! found once and dispatched with [`Bind`]ings, parameters and a [`Size`]. Dispatches are recorded and submitted together;
-//! a [`Receipt`] is a pending copy to the host. Nothing here knows a stage.
+//! The device, independent of the stages that compute on it. A [`Gpu`] is an opened adapter; a [`Buffer`] is an array on
+//! it. A [`Kernel`] is composed of [`Source`]s, among them structs and constants that Rust and WGSL share; its
+//! [`Pipeline`] is found once and dispatched with [`Bind`]ings, parameters and a [`Size`]. Dispatches are recorded and
+//! submitted together; a [`Receipt`] is a pending copy to the host.
 
 #[macro_use]
 mod declare;

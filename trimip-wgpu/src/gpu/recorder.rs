@@ -1,5 +1,5 @@
 //! The recorder collects the dispatches of a whole step for a single submission, together with their parameters and the
-//! arguments of those whose size only the device knows.
+//! arguments of dispatches whose size is stored on the device.
 
 use super::bind::{Bind, MOST_GROUPS, Size};
 use super::kernel::Access::{self, Parameters, Read, Write};
@@ -14,7 +14,7 @@ use std::num::NonZeroU64;
 /// Bytes between the parameters of two dispatches: an alignment that every device supports.
 const PARAMETERS_STRIDE: usize = 512;
 
-/// Dispatches per submission. More are submitted in several parts.
+/// Maximum number of dispatches per submission. Longer work is submitted in several parts.
 const DISPATCHES: usize = 2048;
 
 /// Bytes of the arguments of an indirect dispatch.

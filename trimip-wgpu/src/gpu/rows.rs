@@ -18,7 +18,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// The rows of an array of samples. If the host knows their number, it is written to `own`.
+    /// The rows of an array of samples. If their number is on the host, it is written to `own`.
     pub fn of<T: Pod>(samples: &Buffer<T>, own: &mut Buffer<u32>) -> Self {
         match samples.counter() {
             Some((counts, counter)) => Self { counts: counts.clone(), counter, capacity: samples.most() },

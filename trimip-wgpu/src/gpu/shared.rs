@@ -4,13 +4,13 @@
 use bytemuck::Pod;
 use std::fmt::Write;
 
-/// A type that WGSL has too.
+/// A type of Rust that WGSL has as well.
 pub trait Wgsl {
     /// Its name in WGSL.
     const TYPE: &'static str;
 }
 
-/// Names the types of WGSL that stand for types of Rust.
+/// Names the types of WGSL that correspond to types of Rust.
 macro_rules! types {
     ($($rust:ty => $wgsl:literal),* $(,)?) => {
         $(impl Wgsl for $rust {

@@ -43,7 +43,7 @@ impl Source {
         Self::Constant(name, Value::Real(value))
     }
 
-    /// Appends this part to `parts`, in its single pieces. Pieces that are there already are left out.
+    /// Appends this part to `parts`, piece by piece. Pieces that `parts` already contains are skipped.
     pub fn flatten(self, parts: &mut Vec<Self>) {
         match self {
             Self::Parts(own) => own.iter().for_each(|part| part.flatten(parts)),

@@ -48,7 +48,7 @@ fn cones_of_pixels() {
     );
 }
 
-/// Compares the cones of a lens that the WGSL in `files` states as well.
+/// Compares the cones of `lens` with those of the WGSL in `files`, which states the same lens.
 fn bent(files: &[Source], lens: Lens) {
     let intrinsics = Intrinsics { width: 64, height: 48, fx: 40.0, fy: 42.0, cx: 31.0, cy: 25.5, lens };
     let camera = Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ZERO };

@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::activation`. The functions of density take the logit minus its shift.
+// Mirrors `trimip_core::field::activation`. The functions of density take the logit minus its shift.
 
 fn density_of(kind: u32, x: f32) -> f32 {
     if kind == EXP {

@@ -1,4 +1,4 @@
-// AdamW: the same as `trimip_core::field::adamw::Rule`, four parameters per invocation. If the step has no weight, nothing
+// AdamW; mirrors `trimip_core::field::adamw::Rule`, four parameters per invocation. If the step has no weight, nothing
 // changes.
 
 @group(0) @binding(0) var<storage, read_write> parameters: array<vec4<f32>>;

@@ -1,4 +1,4 @@
-// Two unit vectors that are orthogonal to a unit vector and to each other; the same as `trimip_core::math::basis`.
+// Two unit vectors that are orthogonal to a unit vector and to each other; mirrors `trimip_core::math::basis`.
 fn across(d: vec3<f32>) -> array<vec3<f32>, 2> {
     let side = select(1.0, -1.0, d.z < 0.0);
     let a = -1.0 / (side + d.z);

@@ -1,11 +1,11 @@
-// Cameras and the cones of their pixels; the same as `trimip_core::geometry::camera`. Needs `cone_of_model` of the registry of camera
+// Cameras and the cones of their pixels; mirrors `trimip_core::geometry::camera`. Needs `cone_of_model` of the registry of camera
 // models (`projections.rs`).
 
 const PI: f32 = 3.14159265358979;
 
 // A cone in its camera's axes.
 struct LocalCone {
-    // Where its ray begins: the origin, unless rays are parallel.
+    // Start of the cone's ray: the origin, unless rays are parallel.
     origin: vec3<f32>,
     // Radius of the sphere at `origin`.
     radius: f32,
@@ -26,7 +26,8 @@ fn no_cone() -> LocalCone {
     return central_cone(vec3<f32>(0.0), 1.0, 0.0, 0.0);
 }
 
-// The cone of a square part of a pixel by the derivatives of its ray by the place in the image; the same as `LocalRay::cone`.
+// The cone of a square part of a pixel, from the derivatives of its ray with respect to the place in the image; mirrors
+// `LocalRay::cone`.
 fn cone_of_ray(
     origin: vec3<f32>,
     direction: vec3<f32>,

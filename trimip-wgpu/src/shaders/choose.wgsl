@@ -1,19 +1,20 @@
 // Choosing samples by the proxy of the model (hybrid rendering). `count` walks each ray and counts its samples. After the
-// counts are summed, `fill` walks it again and writes them. A ray of which the proxy is unsure has the samples of volume
-// rendering. The same as `trimip_core::engine::proxy::Chooser` and the CPU's hybrid renderer.
+// counts are summed, `fill` walks it again and writes them. If the proxy is unsure of a ray, the ray gets the samples of
+// volume rendering. Mirrors `trimip_core::engine::proxy::Chooser` and the CPU's hybrid renderer.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
-// 1 for rays of which the proxy is sure.
+// 1 for each ray that the proxy is sure of.
 @group(0) @binding(1) var<storage, read_write> sure: array<u32>;
 @group(0) @binding(2) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(3) var<uniform> params: Params;
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
-// Optical depth and opacity of a step for each code (floats); one word per brick; eight codes per word.
+// Optical depth and opacity of a step for each code (floats), then one word per brick, then eight codes per
+// word.
 @group(0) @binding(8) var<storage, read> proxy: array<u32>;
 
-// A step that stands for others: its middle, its predicted optical depth, and that of all of them.
+// A step that represents others: its middle, its predicted optical depth, and the optical depth of all of them.
 struct Chosen {
     t: f32,
     own: f32,
@@ -28,7 +29,7 @@ struct Walker {
     // Weight of the steps that were left out since the last sample, and the heaviest of them.
     light: f32,
     lent: Chosen,
-    // The last sample; it is given away when the next one is known.
+    // The last sample; it is returned when the next one is found.
     held: Chosen,
     holds: bool,
     ended: bool,
@@ -95,7 +96,7 @@ fn next_sample(ray: Ray, walker: ptr<function, Walker>) -> bool {
         }
         let t = middle(w.m, index);
         let sphere = sphere_at(params.space, ray, t);
-        // Also where the axis of a wide cone misses the cells with a density, its spheres may touch them.
+        // The spheres of a wide cone may touch cells with density even where its axis misses them.
         if sphere.w > params.widest {
             w.sure = false;
             break;

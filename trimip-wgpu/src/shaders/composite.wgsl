@@ -1,7 +1,7 @@
 // Volume rendering along each cone, and the mean of the cones of each pixel.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
-// Of each pixel its colour, opacity and depth.
+// Colour, opacity and depth of each pixel.
 @group(0) @binding(1) var<storage, read_write> pixels: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
@@ -10,7 +10,7 @@
 @group(0) @binding(6) var<storage, read> targets: array<f32>;
 // First cone and number of cones of each pixel.
 @group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
-// Of each cone the same as of a pixel.
+// Colour, opacity and depth of each cone.
 @group(0) @binding(8) var<storage, read_write> cones: array<f32>;
 
 // Colour on the background, opacity and depth of a cone.

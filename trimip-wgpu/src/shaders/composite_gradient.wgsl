@@ -27,7 +27,7 @@ fn cone_gradient(cone: u32, gradient: vec4<f32>) {
         depth_before += depth;
         transmittance = exp(-depth_before);
         behind -= weight * shade;
-        // Without the bound, a rounding error would be left where nothing shines through.
+        // The bound removes the rounding error that would remain where nothing shines through.
         let most = transmittance * brightest;
         let hidden = clamp(behind, -most, most);
         gradients[j] = vec4<f32>(gradient.rgb * weight, (transmittance * shade - hidden) * length);

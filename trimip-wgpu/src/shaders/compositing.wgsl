@@ -1,4 +1,4 @@
-// The same as `trimip_core::math::compositing`.
+// Mirrors `trimip_core::math::compositing`.
 
 // 1 - exp(-x), with a small relative error for thin samples too.
 fn alpha_of(x: f32) -> f32 {

@@ -1,4 +1,4 @@
-// Colours of samples with less weight in their ray than the least: black. One invocation per ray.
+// Blackens the samples whose weight in their ray is less than the least weight. One invocation per ray.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> radiance: array<vec4<f32>>;

@@ -2,7 +2,7 @@
 
 @group(0) @binding(2) var<uniform> params: Params;
 
-// A drawn pixel; the same as `trimip_core::engine::error_map::Drawn`.
+// A drawn pixel; mirrors `trimip_core::engine::error_map::Drawn`.
 struct Drawn {
     scale: u32,
     // Index among all pixels of the views.

@@ -1,4 +1,4 @@
-// Pixels drawn by the error map; the same as `ErrorMap::draw`. Needs `cell_of` and `views`.
+// Pixels drawn by the error map; mirrors `ErrorMap::draw`. Needs `cell_of` and `views`.
 
 // First pixel and end of part `part` of `parts` along a side of `pixels` pixels.
 fn part_of(pixels: u32, part: u32, parts: u32) -> vec2<u32> {

@@ -1,4 +1,4 @@
-// Pixels drawn evenly from their scale; the same as `SamplerPolicy::pixel` without an error map.
+// Pixels drawn evenly from their scale; mirrors `SamplerPolicy::pixel` without an error map.
 
 fn drawn(index: u32) -> Drawn {
     let s = scale_of(index);

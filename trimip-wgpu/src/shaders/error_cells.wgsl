@@ -1,6 +1,6 @@
 // The cells of the error map.
 
-// The random number from which each cell is drawn, rising from 0.
+// Smallest random number that draws each cell, ascending from 0.
 @group(0) @binding(10) var<storage, read> starts: array<u32>;
 
 // The cell that a random number draws.

@@ -68,8 +68,8 @@ fn append_frequencies(first: u32, count: u32, j: u32, value: f32, frequencies: u
     }
 }
 
-// Colours from the colour network's outputs, [samples, DIRECT], of which the first three are used; without networks from those
-// after the density logit.
+// Colours from the first three of the colour network's outputs, [samples, DIRECT]; without networks, from the three after the
+// density logit.
 @compute @workgroup_size(GROUP)
 fn colors(
     @builtin(workgroup_id) group: vec3<u32>,

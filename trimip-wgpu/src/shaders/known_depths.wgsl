@@ -1,4 +1,4 @@
-// The known depths of a training step's pixels, which go to their targets. Needs `drawn`.
+// Writes the known depths of a training step's pixels to their targets. Needs `drawn`.
 
 @group(0) @binding(5) var<storage, read_write> targets: array<f32>;
 // Sorted by pixel.

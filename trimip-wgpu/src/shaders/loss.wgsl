@@ -11,7 +11,8 @@
 // First cone and number of cones of each pixel.
 @group(0) @binding(8) var<storage, read> pixel_groups: array<vec2<u32>>;
 
-// The same as `trimip_core::scene::edge_exponents`. The colour that a photograph shows of a pixel, which is P + (1 - A) * background: P * A^exponent on the background.
+// Mirrors `trimip_core::scene::edge_exponents`: a photograph shows the pixel P + (1 - A) * background as P * A^exponent + (1 - A) *
+// background.
 fn shown(pixel: vec4<f32>, background: vec3<f32>, exponent: f32) -> vec3<f32> {
     if exponent == 0.0 {
         return pixel.rgb;

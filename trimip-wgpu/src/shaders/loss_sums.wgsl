@@ -3,8 +3,9 @@
 @group(0) @binding(2) var<uniform> params: Params;
 // Loss, weight, squared error, number of non-finite pixels.
 @group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
-// The same sums over the step, as bits; then samples marched and kept, samples dropped from both for lack of
-// room, and samples with a backward pass, which are all kept ones unless some are drawn. Counts are not stored as floats: the bits of small counts are denormal, and a device may flush them to zero.
+// These four sums over the step, as bits; then the numbers of samples marched and kept, of samples dropped from both for lack of room, and
+// of samples with a backward pass: all kept ones, unless samples are drawn. Counts are not stored as floats: the bits of small counts are
+// denormal, and a device may flush them to zero.
 @group(0) @binding(5) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
 

@@ -1,5 +1,5 @@
 // Marching. `march` decides once, with one bit per step, which steps lie in occupied cells, and counts them. After
-// the counts are summed, `place` turns the bits into samples. The same as the CPU's renderer.
+// the counts are summed, `place` turns the bits into samples. Mirrors the CPU's renderer.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read_write> bits: array<u32>;

@@ -1,4 +1,4 @@
-// Adds the errors of a training step's pixels to their cells; the same as `error_map::error_of`. Needs `cell_of`.
+// Adds the errors of a training step's pixels to their cells; mirrors `error_map::error_of`. Needs `cell_of`.
 
 @group(0) @binding(5) var<storage, read> targets: array<f32>;
 @group(0) @binding(11) var<storage, read> gradients: array<vec4<f32>>;

@@ -1,5 +1,5 @@
-// The occupancy grid: selection of cells, their densities, and the occupied bits. The same as `trimip_core::geometry::occupancy`
-// and of the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this tile.
+// The occupancy grid: selection of cells, their densities, and the occupied bits. Mirrors `trimip_core::geometry::occupancy`
+// and the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this tile.
 
 @group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read_write> grid: array<u32>;
@@ -160,7 +160,7 @@ fn set_bits(
     atomicAdd(&state[OCCUPIED], countOneBits(words.x) + countOneBits(words.y));
 }
 
-// If all cells equal their mean, none is above it; without this rule such a grid would stay empty for ever.
+// If all cells equal their mean, none is above it. Without this rule, such a grid would stay empty.
 @compute @workgroup_size(GROUP)
 fn fill_if_empty(
     @builtin(workgroup_id) group: vec3<u32>,

@@ -1,4 +1,4 @@
-// Photographs of different exposures: each pixel keeps the number of its photograph, for the loss.
+// Each pixel stores the number of its photograph, for exposure gains and camera poses.
 
 @group(0) @binding(7) var<storage, read_write> photographs: array<u32>;
 // The photograph of each view.

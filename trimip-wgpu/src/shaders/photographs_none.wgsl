@@ -1,3 +1,3 @@
-// Photographs of one exposure: no pixel needs to know its photograph.
+// No pixel stores the number of its photograph.
 
 fn keep_photograph(i: u32, view: u32) {}

@@ -1,5 +1,5 @@
-// The gradient by poses; the same as `trimip_core::engine::policy::poses` and the CPU's stage. Each ray is moved by its own
-// radius along a random direction across it, to either side, with its samples.
+// Gradients by camera poses; mirrors `trimip_core::engine::policy::poses` and the CPU's stage. Each ray is moved by its
+// own radius along a random direction across it, to either side, with its samples.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read_write> displaced_rays: array<Ray>;
@@ -11,7 +11,7 @@
 @group(0) @binding(7) var<storage, read> counts: array<u32>;
 @group(0) @binding(8) var<storage, read> features: array<f32>;
 @group(0) @binding(9) var<storage, read> feature_gradients: array<f32>;
-// How the loss follows the displacement of each sample.
+// Slope of the loss along the displacement of each sample.
 @group(0) @binding(10) var<storage, read_write> slopes: array<f32>;
 @group(0) @binding(11) var<storage, read> segments: array<vec2<u32>>;
 // First cone and number of cones of each pixel.

@@ -1,13 +1,14 @@
-// Which samples of a ray are kept. The same as `compositing::Pruning`.
+// The rule that keeps the samples of a ray; mirrors `compositing::Pruning`.
 
-// The optical depths that a ray has passed: of the kept samples with what they stand for, and of the dropped ones that the next
-// kept one stands for.
+// The optical depths that a ray has passed: that of the kept samples, merged ones included, and that of the faint samples since
+// the last kept one.
 struct Passed {
     depth: f32,
     faint: f32,
 }
 
-// How many times its own length a sample of the optical depth `own` stands for; 0 if it is dropped.
+// Factor that extends the length of a sample of optical depth `own` by the samples merged with it; 0 if the
+// sample is dropped.
 fn stands_for(passed: ptr<function, Passed>, own: f32, max_depth: f32, min_weight: f32) -> f32 {
     let before = *passed;
     if before.depth > max_depth {

@@ -1,4 +1,4 @@
-// The same as `trimip_core::math::rng`: a hash of (seed, stream, step, index). `draws` is the part that all indices share.
+// Mirrors `trimip_core::math::rng`: a hash of (seed, stream, step, index). `draws` is the part that all indices share.
 
 fn pcg4d_mix(v: vec4<u32>) -> vec4<u32> {
     var r = v;

@@ -3,7 +3,7 @@
 // to `partial`; `add_rays` adds them to the step's loss in order.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
-// Colour and density of each sample; the gradients of the other terms are there already.
+// Gradients by the colour and density of each sample; those of the other terms are already included.
 @group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
@@ -13,7 +13,7 @@
 // First cone and number of cones of each pixel.
 @group(0) @binding(7) var<storage, read> pixel_groups: array<vec2<u32>>;
 @group(0) @binding(8) var<storage, read_write> partial: array<f32>;
-// Eight words: the first is the bits of the loss.
+// The step's sums: the first word holds the bits of the loss.
 @group(0) @binding(9) var<storage, read_write> sums: array<u32>;
 
 // Place and width of sample `j`.

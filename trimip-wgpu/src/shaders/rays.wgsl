@@ -1,4 +1,4 @@
-// Ray generation: random pixels of the training views, or all pixels of a camera. The same as the CPU's sampler. Needs
+// Ray generation: random pixels of the training views, or all pixels of a camera. Mirrors the CPU's sampler. Needs
 // `views` and `drawn`.
 
 @group(0) @binding(1) var<storage, read_write> rays: array<Ray>;
@@ -21,7 +21,7 @@ fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     return all;
 }
 
-// Cones of all pixels of the step before pixel `index`; the same as `RayAllocation::cones_before`.
+// Cones of all pixels of the step before pixel `index`; mirrors `RayAllocation::cones_before`.
 fn cones_before(index: u32) -> u32 {
     var cones = 0u;
     for (var j = 0u; j < params.scales; j++) {
@@ -100,7 +100,7 @@ fn training_rays(
     targets[at] = rgb.r;
     targets[at + 1u] = rgb.g;
     targets[at + 2u] = rgb.b;
-    // Nothing is learned from pixels that the lens has no ray for.
+    // Pixels for which the lens has no ray get no weight.
     targets[at + TARGET_WEIGHT] = select(0.0, fraction * params.weights[s / 4u][s % 4u] * own.importance, seen);
     targets[at + TARGET_BACKGROUND] = background.r;
     targets[at + TARGET_BACKGROUND + 1u] = background.g;

@@ -1,6 +1,6 @@
 // Pruning for hybrid rendering. Marks the samples to keep: the first one of each group that shares a colour. It gets the
-// optical depth, the length and the mean distance of its group, and the mean of its geometry features. A ray of which the
-// proxy is unsure keeps all its visible samples. The same as `trimip_core::engine::proxy::share_colors`.
+// optical depth, the length and the mean distance of its group, and the mean of its geometry features. If the proxy is
+// unsure of a ray, the ray keeps all its visible samples. Mirrors `trimip_core::engine::proxy::share_colors`.
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read> sure: array<u32>;
@@ -11,7 +11,7 @@
 @group(0) @binding(6) var<storage, read_write> marks: array<u32>;
 @group(0) @binding(7) var<storage, read_write> outputs: array<f32>;
 
-// A group of samples, of which the first one is row `row`.
+// A group of samples; its first sample is row `row`.
 struct Group {
     row: u32,
     members: u32,
@@ -22,9 +22,9 @@ struct Group {
     length: f32,
 }
 
-// Writes what a group has in common to its first row.
+// Writes the shared values of a group to its first row.
 fn finish(group: Group) {
-    // A group without any weight shows nothing, and its first sample stands for it.
+    // A group without weight is invisible, and its first sample represents it unchanged.
     if group.members > 1u && group.weight > 0.0 {
         intervals[group.row] = vec2<f32>(group.moment / group.weight, group.length);
         radiance[group.row].w = group.depth / group.length;
@@ -59,7 +59,7 @@ fn share(
         let depth = radiance[j].w * interval.y;
         let weight = exp(-before) * alpha_of(depth);
         let sum = group.weight + weight;
-        // False for NaN, which stays alone.
+        // False for NaN: such a sample forms its own group.
         if shares && group.members > 0u && sum <= params.shared_weight && interval.x - group.first_t <= params.reach {
             if sum > 0.0 {
                 // The mean so far moves towards this sample's features.

@@ -1,6 +1,7 @@
-// The map from the world to the unit cube; the same as `trimip_core::geometry::space`.
+// The map from the world to the unit cube; mirrors `trimip_core::geometry::space`.
 
-// How the parameter of steps along a ray follows its distance: the distance itself if `speed` is 0, in a bounded space.
+// Maps distances along a ray to the parameter of its steps. In a bounded space (`speed` is 0), the parameter is the
+// distance.
 struct RayParameter {
     // Parameters between which the ray can have samples; enter >= leave if there are none.
     enter: f32,
@@ -34,7 +35,7 @@ fn centre_of(space: Space) -> vec3<f32> {
     return 0.5 * (space.aabb_min + space.aabb_max);
 }
 
-// The course of a ray.
+// The parameterisation of a ray.
 fn parameterisation_of(space: Space, ray: Ray) -> RayParameter {
     if space.ball == 0.0 {
         let hit = intersect(space, ray);
@@ -51,7 +52,7 @@ fn parameterisation_of(space: Space, ray: Ray) -> RayParameter {
     return parameterisation;
 }
 
-// Parameter of a curved course at distance `t`.
+// Parameter at distance `t`, in a contracted space.
 fn parameter_at(parameterisation: RayParameter, t: f32) -> f32 {
     let m = (t - parameterisation.middle) / parameterisation.reach;
     let contracted = select(m, sign(m) * (2.0 - 1.0 / abs(m)), abs(m) > 1.0);
@@ -78,7 +79,7 @@ fn length_at(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, ste
     return step * (m * m / parameterisation.speed) / (n * n);
 }
 
-// Place and width of a sample at distance `t`: the parameter, and what it grows by over the sample's `length` in the units of the
+// Place and width of a sample at distance `t`: the parameter, and its increase over the sample's `length` in the units of the
 // field's density; both in units of the box's longest side.
 fn along(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, length: f32) -> vec2<f32> {
     if parameterisation.speed == 0.0 {
@@ -135,8 +136,8 @@ fn cell_of(space: Space, position: vec3<f32>) -> vec3<u32> {
     return min(vec3<u32>(max(scaled, vec3<f32>(0.0))), vec3<u32>(space.resolution - 1u));
 }
 
-// Distance up to which a ray stays within the aligned cube of `size` cells that contains `cell`, its cell at some distance before:
-// earlier by what rounding may move it. FAR if it cannot be computed.
+// Distance up to which a ray stays within the aligned cube of `size` cells that contains `cell`, a cell that the ray passes
+// before, minus the possible rounding error. FAR if it cannot be computed.
 fn cells_exit(space: Space, ray: Ray, cell: vec3<u32>, size: u32) -> f32 {
     var leave = FAR;
     for (var axis = 0u; axis < 3u; axis++) {
@@ -155,8 +156,8 @@ fn cells_exit(space: Space, ray: Ray, cell: vec3<u32>, size: u32) -> f32 {
     return leave;
 }
 
-// A parameter beyond `s` up to which a curved ray stays within the aligned cube of `size` cells that contains `cell`, the
-// one of `position`.
+// A parameter beyond `s` up to which a ray in a contracted space stays within the aligned cube of `size` cells that
+// contains `cell`, the cell of `position`.
 fn cells_clear(space: Space, s: f32, position: vec3<f32>, cell: vec3<u32>, size: u32) -> f32 {
     let within = position * f32(space.resolution) - vec3<f32>(cell / size * size);
     let margin = min(within, f32(size) - within);

@@ -5,7 +5,7 @@
 @group(0) @binding(4) var<storage, read> grid: array<u32>;
 
 // March of a ray: parameter of the start of the first step, parameter at which the ray leaves the space, length of a
-// step of the parameter, and how distances follow it.
+// step of the parameter, and the ray's parameterisation.
 struct March {
     first: f32,
     leave: f32,
@@ -13,7 +13,7 @@ struct March {
     parameterisation: RayParameter,
 }
 
-// The march along a course. `offset` moves its start, in steps.
+// The march of a ray. `offset` moves its start, in steps.
 fn march_along(parameterisation: RayParameter, step: f32, offset: f32) -> March {
     let first = parameterisation.enter + offset * step;
     let hits = parameterisation.leave > first && parameterisation.leave < FAR;

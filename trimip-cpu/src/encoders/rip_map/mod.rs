@@ -1,4 +1,4 @@
-//! Ripmaps on the CPU: a texel's 16 channels are one vector register; a query adds up to 16 of them on each plane.
+//! Ripmaps on the CPU: a texel's 16 channels are one vector register; a query sums at most 16 of them on each plane.
 //! A ripmap holds a copy of its base, so that every level is read from one array.
 
 mod passes;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::field::encoders::rip_map::{CHANNELS, Plane};
 
-/// Columns of level 0 in which intervals are rounded, so that they halve evenly on every level.
+/// Number of columns of level 0 to whose multiples intervals are rounded, so that they halve evenly on every level.
 pub fn unit(plane: &Plane<f32>) -> u32 {
     1 << (plane.levels - 1)
 }
@@ -27,7 +27,8 @@ fn row_len(plane: &Plane<f32>) -> usize {
     plane.width() * CHANNELS
 }
 
-/// Rebuilds the ripmap `map` of the texels of `base` in `changed`, one interval per row of the base.
+/// Rebuilds the part of the ripmap `map` that depends on the texels of `base` in `changed`, which has one interval
+/// per row of the base.
 pub fn average(simd: Simd, plane: &Plane<f32>, base: &[f32], map: &mut [f32], changed: &[Extent]) {
     let row = row_len(plane);
     let mut changed: Vec<Extent> = changed.iter().map(|extent| extent.aligned(unit(plane))).collect();
@@ -57,8 +58,9 @@ pub fn average(simd: Simd, plane: &Plane<f32>, base: &[f32], map: &mut [f32], ch
     }
 }
 
-/// Adds up the gradient of the ripmap `map` in the gradient of its base. `touched` has one interval for each row of
-/// the map, outside of which the map is zero; those of the base's rows become the intervals of `base`.
+/// Sums the gradient of the ripmap `map` into the gradient of its base. `touched` has one interval for each row of
+/// the map, outside of which the map is zero. On return, the intervals of the base's rows are the touched ones of
+/// `base`.
 pub fn pull(simd: Simd, plane: &Plane<f32>, map: &mut [f32], base: &mut [f32], touched: &mut [Extent]) {
     let row = row_len(plane);
     touched.iter_mut().for_each(|extent| *extent = extent.aligned(unit(plane)));

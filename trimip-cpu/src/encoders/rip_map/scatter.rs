@@ -54,7 +54,7 @@ impl Kernel for Sort<'_> {
     }
 }
 
-/// A band of one plane: its rows on each level across the plane.
+/// A band of one plane: its rows on each row level. A row holds all column levels.
 struct Band<'a> {
     plane: usize,
     band: usize,
@@ -62,8 +62,8 @@ struct Band<'a> {
     levels: Vec<(usize, &'a mut [f32], &'a mut [Extent])>,
 }
 
-/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all partial gradients. They are zero outside of `touched`,
-/// before and after. `base`, the gradient of the parameters, becomes zero.
+/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all partial gradients. `maps` are zero outside of
+/// `touched` on entry and on return. `base`, the gradient of the parameters, is set to zero.
 pub fn spread(
     simd: Simd,
     planes: &[Plane<f32>],

@@ -1,5 +1,5 @@
-//! The planes divided among ranks. A rank sums its parts of a step, gets what the others have of its bands, updates these, and
-//! sends the changed texels. Columns travel as the intervals in which they are touched.
+//! The planes divided among ranks. A rank sums its leaves of a step, receives the other ranks' sums of its bands, updates
+//! these bands, and sends the changed texels. Of each row, only the touched interval of columns is sent.
 
 use super::Planes;
 use super::scatter::{Band, Sums};
@@ -17,14 +17,14 @@ use trimip_core::field::encoders::tri_mip::CHANNELS;
 /// A row of a level of a plane.
 struct PlaneRow {
     plane: usize,
-    /// Where its extent stands among those of the level.
+    /// Index of its extent among those of the level.
     index: usize,
-    /// Where its texels begin among the floats of the level.
+    /// Index of its first float among those of the level.
     first: usize,
 }
 
 impl Planes {
-    /// The bands of all levels, and what sums over them.
+    /// The bands of all planes, and the [`Sums`] over them.
     pub(super) fn bands<'a>(&'a mut self, gradient: &'a mut [f32]) -> (Sums<'a>, Vec<Band<'a>>) {
         let Self { simd, pyramid, division, derived_gradient, touched, scratch, .. } = self;
         let base = &mut gradient[..pyramid.base_len()];
@@ -47,7 +47,7 @@ impl Planes {
         })
     }
 
-    /// The touched floats of a row, from the start of its level.
+    /// The touched columns of a row, and their floats counted from the start of its level.
     fn touched_of(&self, level: usize, row: &PlaneRow) -> (Extent, Range<usize>) {
         let extent = self.touched.level(level)[row.index];
         let Range { start, end } = extent.texels();
@@ -67,7 +67,7 @@ impl Divided for Planes {
         let to = Rank { id: to, size: self.division.this_rank.size };
         let (sums, bands) = self.bands(gradient);
         for band in bands {
-            // The length comes first, so that bands are found without reading those before.
+            // The length comes first, so that a reader finds a band without decoding the previous ones.
             let start = out.len();
             put(out, &[0_u64]);
             sums.put(to, &band, out);

@@ -1,27 +1,28 @@
-//! How the rows of the planes are divided: into bands, each of which is summed by one worker, and the bands among ranks.
+//! Division of the rows of the planes into bands, each summed by one worker, and of the bands among ranks.
 
 use crate::encoders::bands::{BANDS, first_row, owner};
 use trimip_core::engine::exchange::Rank;
 use trimip_core::field::encoders::tri_mip::Pyramid;
 
-/// Finer divisions of a plane than this do not balance the work better.
+/// Least number of row groups of a plane. More groups do not balance the work better.
 const LEAST_UNITS: usize = 64;
 
-/// Most levels above the base on which bands are kept below each other.
+/// Largest number of levels above the base whose bands are nested.
 const MOST_NESTED: u32 = 3;
 
-/// The division of a pyramid. On the first levels of a plane the bands of a level lie under those of the next coarser one, so
-/// that one rank can take a row's gradient down to the base. Coarser levels have few texels, and every rank has all of them.
+/// The division of a pyramid. On the first levels of a plane, a band covers the texels of the same band on the next coarser
+/// level, so that one rank can propagate a row's gradient to the base. Coarser levels have few texels, and every rank has all
+/// of them.
 pub struct Division {
     /// The bands of this rank.
     pub this_rank: Rank,
     rows: [usize; 3],
-    /// The coarsest of the first levels, of each plane.
+    /// The coarsest nested level of each plane.
     nested: [u32; 3],
 }
 
 impl Division {
-    /// The division of `pyramid` of which a rank has `this_rank`.
+    /// The division of `pyramid`, as seen by `this_rank`.
     pub fn new(pyramid: &Pyramid, this_rank: Rank) -> Self {
         let rows = [0, 1, 2].map(|plane| pyramid.shape(0, plane).rows);
         let nested = rows.map(|rows| {
@@ -31,7 +32,7 @@ impl Division {
         Self { this_rank, rows, nested }
     }
 
-    /// log2 of the rows of a level that stay together.
+    /// log2 of the number of rows of a level that form a group.
     #[inline(always)]
     fn shift(&self, plane: usize, level: usize) -> u32 {
         self.nested[plane].saturating_sub(level as u32)
@@ -50,7 +51,7 @@ impl Division {
         first_row(band, self.rows[plane] >> level >> shift) << shift
     }
 
-    /// True if a rank sums this band: this one, or with another `this_rank` another.
+    /// True if the rank `this_rank` sums this band.
     #[inline(always)]
     pub fn is_of(&self, this_rank: Rank, plane: usize, band: usize) -> bool {
         this_rank.has(plane * BANDS + band)

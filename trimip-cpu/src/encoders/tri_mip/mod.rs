@@ -1,4 +1,4 @@
-//! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query adds up to 24 of them.
+//! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query sums at most 24 of them.
 
 mod divided;
 mod division;
@@ -28,13 +28,13 @@ use trimip_core::{Aabb, Config, Result};
 pub(crate) struct Planes {
     simd: Simd,
     pyramid: Pyramid,
-    /// The pyramid of the planes in full size.
+    /// The pyramid at full resolution; `pyramid` is that of the growth stage.
     whole: Pyramid,
-    /// Its rows by worker and rank.
+    /// Division of the rows of `pyramid` among workers and ranks.
     division: Division,
     /// `train.leaves`.
     leaves: u32,
-    /// Unused memory for sums of leaves.
+    /// Pool of unused memory for sums of leaves.
     scratch: Mutex<Vec<Scratch>>,
     /// The texels whose gradient may be non-zero.
     touched: Extents,
@@ -172,7 +172,8 @@ impl Encoding for Planes {
 }
 
 impl Planes {
-    /// Takes the gradient from coarse to fine: each texel gets a quarter of its parent's. Rows of other ranks are left out.
+    /// Propagates the gradient from coarse to fine levels: each texel gets a quarter of its parent's gradient. Rows of
+    /// other ranks are skipped.
     fn pull(&mut self, parameter_gradient: &mut [f32]) {
         let Self { simd, pyramid, division, derived_gradient, touched, .. } = self;
         let base = &mut parameter_gradient[..pyramid.base_len()];

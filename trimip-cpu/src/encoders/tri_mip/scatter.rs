@@ -19,7 +19,7 @@ use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyra
 
 /// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
 pub(crate) struct Gradient {
-    /// Where each sample reads.
+    /// Place of each sample.
     pub places: Buffer<Place>,
     /// Feature gradient of each sample, [samples, 48].
     pub rows: Buffer<f32>,
@@ -27,12 +27,12 @@ pub(crate) struct Gradient {
     pub bands: Vec<Vec<u32>>,
 }
 
-/// Where a sample reads the planes.
+/// Position and radius at which a sample reads the planes.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Place {
     position: [f32; 3],
-    /// Every band that the sample touches asks for its levels.
+    /// log2 of the radius, from which every touched band derives the levels that the sample reads.
     log2_radius: f32,
 }
 
@@ -123,7 +123,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// A band with the rows of another.
+    /// Returns a band in this memory with the rows of `other`.
     fn like(&mut self, pyramid: &Pyramid, division: &Division, other: &Band<'_>) -> Band<'_> {
         let floats: usize = other.levels.iter().map(|level| level.texels.len()).sum();
         let rows: usize = other.levels.iter().map(|level| level.extents.len()).sum();
@@ -149,9 +149,9 @@ fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2]
 pub struct Sort<'a> {
     /// The planes.
     pub pyramid: &'a Pyramid,
-    /// Their division.
+    /// Division of the planes into bands.
     pub division: &'a Division,
-    /// Where each sample reads.
+    /// Place of each sample.
     pub places: &'a [Place],
     /// Index of the first sample.
     pub first: u32,
@@ -190,14 +190,14 @@ pub struct Sums<'a> {
     pub simd: Simd,
     /// The planes.
     pub pyramid: &'a Pyramid,
-    /// Their division.
+    /// Division of the planes into bands.
     pub division: &'a Division,
-    /// Unused memory.
+    /// Pool of unused memory.
     pub scratch: &'a Mutex<Vec<Scratch>>,
 }
 
 impl Sums<'_> {
-    /// Overwrites a band with the sum of `own` of the leaves of a step.
+    /// Overwrites a band with the sum of the leaves `own` of a step.
     pub fn spread(
         &self,
         gradients: &[&mut Gradient],
@@ -231,7 +231,7 @@ impl Sums<'_> {
         self.beside(band, |other| self.add_leaves(gradients, tree, right, other));
     }
 
-    /// Fills a band of zeros, and adds it. Returns what `fill` returns.
+    /// Passes a temporary band of zeros to `fill`, then adds it to `band`. Returns the result of `fill`.
     fn beside<R>(&self, band: &mut Band<'_>, fill: impl FnOnce(&mut Band<'_>) -> R) -> R {
         let unused = || self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         let mut scratch = unused().pop().unwrap_or_default();
@@ -242,8 +242,8 @@ impl Sums<'_> {
         filled
     }
 
-    /// Completes a band that holds the sum of this rank by what the other ranks sent for it, by rank. Of another rank's band only
-    /// common levels are kept.
+    /// Adds the sums that the other ranks sent, indexed by rank, to a band that holds the sum of this rank. Only the common
+    /// levels of another rank's band are kept.
     ///
     /// # Errors
     /// When a message is not what [`put`](Self::put) writes for this rank.
@@ -257,8 +257,8 @@ impl Sums<'_> {
         self.add_ranks(from, 0..from.len(), band)
     }
 
-    /// Adds the sums of ranks, in the tree of their leaves, to a band that holds that of this rank, if it is among them, and
-    /// otherwise zero.
+    /// Adds the sums of `ranks` to a band in the order of the reduction tree. The band holds the sum of this rank if it is
+    /// among `ranks`, and zeros otherwise.
     fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) -> Result<()> {
         let own = self.division.this_rank.id;
         if ranks.len() == 1 {
@@ -277,7 +277,7 @@ impl Sums<'_> {
         self.beside(band, |beside| self.add_ranks(from, other, beside))
     }
 
-    /// The levels of a band that travel to a rank.
+    /// The levels of a band that are sent to a rank.
     fn levels(&self, to: Rank, band: &Band<'_>) -> Range<usize> {
         let Self { division, pyramid, .. } = self;
         let first_common = (0..pyramid.levels).find(|level| division.is_common(band.plane, *level));
@@ -287,7 +287,7 @@ impl Sums<'_> {
         }
     }
 
-    /// Writes what rank `to` needs of the sum of this rank.
+    /// Writes the part of this rank's sum that rank `to` needs.
     pub fn put(&self, to: Rank, band: &Band<'_>, out: &mut Vec<u8>) {
         for LevelBand { row, texels, extents, .. } in &band.levels[self.levels(to, band)] {
             for (row, extent) in texels.chunks_exact(*row).zip(extents.iter()) {
@@ -298,7 +298,7 @@ impl Sums<'_> {
         }
     }
 
-    /// Adds what another rank put for this one.
+    /// Adds the sum that another rank put for this one.
     fn add_message(&self, message: &[u8], band: &mut Band<'_>) -> Result<()> {
         let levels = self.levels(self.division.this_rank, band);
         let mut reader = Reader::new(message);
@@ -361,7 +361,7 @@ impl Kernel for SpreadBand<'_, '_> {
     }
 }
 
-/// Adds a band to another, and sets it to zero.
+/// Adds the band `from` to `band`, and sets `from` to zero.
 struct AddBand<'a, 'b, 'c> {
     from: &'a mut Band<'b>,
     band: &'a mut Band<'c>,

@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::encoders::frequencies`: one invocation writes the features of one sample.
+// Mirrors `trimip_core::field::encoders::frequencies`: one invocation writes the features of one sample.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;
@@ -8,7 +8,8 @@
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 @group(0) @binding(6) var<storage, read> spheres: array<vec4<f32>>;
 
-// An angle reduced to about [-π, π], by 2π in two parts: drivers lose the sine of large angles.
+// Reduces an angle to about [-π, π] with 2π in two parts, because drivers compute inaccurate sines of large
+// angles.
 fn reduced(angle: f32) -> f32 {
     let turns = round(angle * 0.15915494);
     return (angle - turns * 6.28125) - turns * 1.9353072e-3;

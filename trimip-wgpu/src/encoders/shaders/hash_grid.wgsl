@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::encoders::hash_grid`.
+// Mirrors `trimip_core::field::encoders::hash_grid`.
 
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(9) var<storage, read> levels: array<Level>;

@@ -1,4 +1,4 @@
-// The points at which a sample reads the grid; the same as `trimip_core::field::encoders::hash_grid::Points`. One invocation per point.
+// The points at which a sample reads the grid; mirrors `trimip_core::field::encoders::hash_grid::Points`. One invocation per point.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;

@@ -1,7 +1,7 @@
 // Trilinear reads: one invocation reads one level for one sample.
 
 @group(0) @binding(0) var<storage, read> entries: array<f32>;
-// The points of samples: place in the unit cube, standard deviation in longest sides of the box.
+// The points of samples: place in the unit cube, standard deviation in units of the box's longest side.
 @group(0) @binding(1) var<storage, read> points: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> features: array<f32>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;

@@ -1,4 +1,4 @@
-// Gaussians of samples; the same as `trimip_core::field::encoders::rip_map::Gaussian`.
+// Gaussians of samples; mirrors `trimip_core::field::encoders::rip_map::Gaussian`.
 
 struct Gaussian {
     // Mean in the unit cube, and variance across the ray.

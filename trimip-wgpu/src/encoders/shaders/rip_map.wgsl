@@ -1,4 +1,4 @@
-// What a Gaussian reads on a plane; the same as `trimip_core::field::encoders::rip_map::Plane::reads`.
+// The reads of a Gaussian on a plane; mirrors `trimip_core::field::encoders::rip_map::Plane::reads`.
 
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<uniform> params: Params;

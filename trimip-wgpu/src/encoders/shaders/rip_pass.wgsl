@@ -13,7 +13,7 @@ struct Texel {
     column: u32,
 }
 
-// Columns and rows of the part of a plane's ripmap that level `pass_.level` along `axis` is.
+// Columns and rows of level `pass_.level` along `axis` in a plane's ripmap.
 fn part_sides(plane: u32, axis: u32) -> vec2<u32> {
     let sides = planes[plane].sides;
     if axis == 0u {

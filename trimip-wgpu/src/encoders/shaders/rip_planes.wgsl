@@ -1,8 +1,9 @@
-// Planes with ripmaps; the same as `trimip_core::field::encoders::rip_map::Plane`.
+// Planes with ripmaps; mirrors `trimip_core::field::encoders::rip_map::Plane`.
 
 @group(0) @binding(9) var<storage, read> planes: array<Plane>;
 
-// First column (axis 0) or row (axis 1) of a level in a plane's ripmap; its width or height for the number of levels.
+// First column (axis 0) or row (axis 1) of a level in a plane's ripmap; for `level` = number of levels, the ripmap's
+// width or height.
 fn level_first(plane: u32, axis: u32, level: u32) -> u32 {
     let whole = 2u * planes[plane].sides[axis];
     return whole - (whole >> level);

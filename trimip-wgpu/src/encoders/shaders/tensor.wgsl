@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::encoders::tensor`, four components at a time.
+// Mirrors `trimip_core::field::encoders::tensor`, four components at a time.
 
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(9) var<storage, read> factors: array<vec4<f32>>;
@@ -13,7 +13,7 @@ struct Feature {
     width: u32,
 }
 
-// Where the four features number `at` come from.
+// The factors of group `at` of four features.
 fn feature(at: u32) -> Feature {
     let copies = max(params.planes, 1u);
     let density = params.components.x * copies;
@@ -41,7 +41,7 @@ fn along(axis: u32, position: vec3<f32>) -> Along {
     return Along(u32(lower), at - lower);
 }
 
-// Index of a component of the grid point before a place on a line; the next point follows `width` later.
+// Index of a component of the grid point before a place on a line; the next point is `width` later.
 fn line_index(f: Feature, line: u32, lower: u32) -> u32 {
     var first = params.starts[2u * f.kind + 1u];
     for (var l = 0u; l < line; l++) {
@@ -56,7 +56,8 @@ fn line_value(f: Feature, line: u32, position: vec3<f32>) -> vec4<f32> {
     return (1.0 - place.upper) * factors[at] + place.upper * factors[at + f.width];
 }
 
-// The cell of a plane around a place: the index of a component at its first corner, and the places along the axes.
+// The cell of a plane around a place: the index of a component at its first corner, the distance to the next row,
+// and the fractions along the axes.
 struct Cell {
     at: u32,
     columns: u32,

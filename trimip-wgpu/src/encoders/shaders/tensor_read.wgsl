@@ -1,4 +1,4 @@
-// Features: one invocation computes four of one sample.
+// One invocation computes four features of one sample.
 
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> features: array<vec4<f32>>;

@@ -1,4 +1,4 @@
-// Levels and texels of a bilinear read; the same as `LevelBlend` and `taps` in `trimip_core::field::encoders::tri_mip`.
+// Levels and texels of a bilinear read; mirrors `LevelBlend` and `taps` in `trimip_core::field::encoders::tri_mip`.
 
 struct Blend {
     lower: u32,

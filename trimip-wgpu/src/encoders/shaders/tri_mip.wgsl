@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::encoders::tri_mip`: the level of a sphere (Eq. 5) and the texels that a query reads.
+// Mirrors `trimip_core::field::encoders::tri_mip`: the level of a sphere (Eq. 5) and the texels that a query reads.
 
 // Coordinates along a row of texels and across the rows.
 fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {

@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::encoders::voxels`.
+// Mirrors `trimip_core::field::encoders::voxels`.
 
 @group(0) @binding(2) var<uniform> params: Params;
 

@@ -1,4 +1,4 @@
-// The Charbonnier loss: value and derivative at `difference`; the same as `trimip_core::field::losses::charbonnier`. `numbers.x` is the
+// The Charbonnier loss: value and derivative at `difference`; mirrors `trimip_core::field::losses::charbonnier`. `numbers.x` is the
 // padding.
 
 fn charbonnier(difference: f32, numbers: vec3<f32>) -> vec2<f32> {

@@ -1,4 +1,4 @@
-// The probability that a cone ends at the point of its pixel, and its gradient with respect to the densities of its samples; the same as
+// The probability that a cone ends at the point of its pixel, and its gradient with respect to the densities of its samples; mirrors
 // `trimip_core::field::losses::depth`. `at` is the first word of the pixel's target.
 
 // Weight of the Gaussian around the point at sample `j`.

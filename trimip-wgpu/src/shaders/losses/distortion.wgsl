@@ -1,4 +1,4 @@
-// The distortion of the weights of a cone's samples and its gradient with respect to their densities; the same as
+// The distortion of the weights of a cone's samples and its gradient with respect to their densities; mirrors
 // `trimip_core::field::losses::distortion`.
 
 // A sample, and sums over the samples in front of it.

@@ -1,5 +1,6 @@
-// Photographs of different exposures: what a pixel shows of its photograph's own is multiplied by the photograph's gain.
-// The derivatives by the logarithms of the gains are summed in 64-bit fixed point: the same bits in any order.
+// Photographs of different exposures: the part of a pixel's colour that is not background is multiplied by the
+// photograph's gain. The derivatives by the logarithms of the gains are summed in 64-bit fixed point, bit-identical in
+// any order.
 
 @group(0) @binding(9) var<storage, read> photographs: array<u32>;
 // Three gains of each photograph; then, for each of its channels, the low and the high word of a sum.
@@ -13,14 +14,14 @@ fn gain_of(photograph: u32) -> vec3<f32> {
     return gain;
 }
 
-// The colour that is compared; the same as `trimip_core::engine::exposure`.
+// The colour that is compared; mirrors `trimip_core::engine::exposure`.
 fn exposed(i: u32, shown: vec3<f32>, behind: vec3<f32>) -> vec3<f32> {
     return gain_of(photographs[i]) * (shown - behind) + behind;
 }
 
-// Gradient with respect to the colour shown, for that with respect to the colour compared, of which `own` is the
-// photograph's own part. Adds the derivatives by the photograph's log-gains. Gains and slopes are bounded, so every
-// number fits.
+// Converts the gradient with respect to the compared colour to that with respect to the shown colour. `own` is the
+// compared colour without its background. Adds the derivatives by the photograph's log-gains. Gains and slopes are
+// bounded, so every number fits.
 fn unexposed(i: u32, by_seen: vec3<f32>, own: vec3<f32>) -> vec3<f32> {
     let photograph = photographs[i];
     for (var c = 0u; c < 3u; c++) {

@@ -1,4 +1,4 @@
-// The opacity of a pixel against the alpha of its photograph; the same as `trimip_core::field::losses::opacity`. `at` is the first word of
+// The opacity of a pixel against the alpha of its photograph; mirrors `trimip_core::field::losses::opacity`. `at` is the first word of
 // the pixel's target.
 
 fn opacity(

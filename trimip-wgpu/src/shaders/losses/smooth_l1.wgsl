@@ -1,4 +1,4 @@
-// Smooth-L1: value and derivative at `difference`; the same as `trimip_core::field::losses::smooth_l1`. `numbers.x` is the size up to
+// Smooth-L1: value and derivative at `difference`; mirrors `trimip_core::field::losses::smooth_l1`. `numbers.x` is the size up to
 // which it is quadratic.
 
 fn smooth_l1(difference: f32, numbers: vec3<f32>) -> vec2<f32> {

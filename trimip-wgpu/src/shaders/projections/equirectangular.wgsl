@@ -1,4 +1,4 @@
-// Panoramas; the same as `trimip_core::geometry::projections::equirectangular`.
+// Panoramas; mirrors `trimip_core::geometry::projections::equirectangular`.
 
 // The cone of a longitude and a latitude.
 fn cone_equirectangular(view: View, at: vec2<f32>, side: f32) -> LocalCone {

@@ -1,4 +1,4 @@
-// Fisheye images; the same as `trimip_core::geometry::projections::fisheye`. Needs `perspective.wgsl`.
+// Fisheye images; mirrors `trimip_core::geometry::projections::fisheye`. Needs `perspective.wgsl`.
 
 // The cone of a fisheye.
 fn cone_fisheye(view: View, at: vec2<f32>, side: f32) -> LocalCone {

@@ -1,4 +1,4 @@
-// Orthographic images; the same as `trimip_core::geometry::projections::orthographic`.
+// Orthographic images; mirrors `trimip_core::geometry::projections::orthographic`.
 
 // The cone of parallel rays: a cylinder.
 fn cone_orthographic(view: View, at: vec2<f32>, side: f32) -> LocalCone {

@@ -1,13 +1,14 @@
-// Perspective images: the pinhole and perspective lenses; the same as `trimip_core::geometry::projections::perspective` and of
+// Perspective images: the pinhole and perspective lenses; mirrors `trimip_core::geometry::projections::perspective` and
 // `trimip_core::geometry::lens`.
 
-// Undistorted coordinates, and the area of the image of a small surface around them over its own; 0 if there is no ray.
+// Undistorted coordinates, and the factor by which the distortion scales a small area around them; 0 if there is no
+// ray.
 struct Unbent {
     at: vec2<f32>,
     area: f32,
 }
 
-// The undistorted coordinates of an image; the same as `Lens::unbend`.
+// The undistorted coordinates of an image; mirrors `Lens::unbend`.
 fn unbend(view: View, image: vec2<f32>) -> Unbent {
     let k = view.radial;
     let d = view.denominator.xyz;
