@@ -14,14 +14,15 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |file| file.write_all(bytes))
 }
 
-/// The file that stands beside `path` while it is written. Only a process that was killed leaves it behind.
+/// Returns the temporary name of `path` while it is written: `path` with `.tmp` appended. Only a killed process leaves
+/// this file behind.
 pub fn temporary(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".tmp");
     name.into()
 }
 
-/// Lets `fill` write a temporary file beside `path`, flushes it to the disk and renames it, which is flushed too. On
+/// Lets `fill` write a temporary file next to `path`, flushes it to disk, renames it to `path` and flushes the folder. On
 /// failure the old file stays and the temporary one is removed.
 pub(crate) fn replace_atomically<T>(
     path: &Path,
@@ -48,8 +49,8 @@ pub(crate) fn replace_atomically<T>(
     Ok(result)
 }
 
-/// Flushes the entry of a file or folder in its folder to the disk: without it a power failure may undo a rename. Systems that
-/// cannot open a folder, and file systems that cannot flush one, have no better promise to give.
+/// Flushes the folder entry of a file or folder to disk; without this a power failure may undo a rename. Does nothing
+/// where the system cannot open a folder or the file system cannot flush one.
 pub fn sync_folder_of(path: &Path) {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if let Ok(folder) = File::open(folder) {
@@ -89,7 +90,7 @@ mod tests {
             Ok(())
         })
         .unwrap();
-        // A plain file of the user has the same rights.
+        // The permissions are those of a plain file of the user.
         let rights = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         std::fs::write(folder.path().join("plain"), "").unwrap();
         write_atomically(&path, b"new").unwrap();

@@ -1,6 +1,6 @@
-//! The typed configuration. Defaults, ranges and meanings are in `defaults.toml`, layers and origins in [`Settings`], the
-//! sections and their choices in the files beside this one, and what they must be together in `checks.rs`. Sections that
-//! other crates own are carried along in `foreign.rs`; [`Config::section`] gives their typed form.
+//! The typed configuration. `defaults.toml` holds defaults, ranges and meanings, [`Settings`] layers and origins, the
+//! submodules the sections and their choices, and `checks.rs` the constraints between settings. `foreign.rs` carries the
+//! sections that other crates own; [`Config::section`] gives their typed form.
 
 mod checks;
 mod choices;
@@ -48,13 +48,13 @@ pub struct Config {
     pub seed: u64,
     /// CPU threads; 0: all cores.
     pub threads: u32,
-    /// What becomes of a run that is predicted to need more memory than there is.
+    /// Action for a run that is predicted to need more memory than is available.
     pub memory: MemoryChoice,
     /// The photographs.
     pub data: PhotographsConfig,
     /// The box around the scene.
     pub scene: SceneConfig,
-    /// What the scene plan may decide.
+    /// The decisions that the scene plan may take.
     pub plan: PlanConfig,
     /// The model file.
     pub file: FileConfig,
@@ -74,7 +74,7 @@ pub struct Config {
     pub field: FieldConfig,
     /// Marching and compositing.
     pub renderer: RendererConfig,
-    /// Where the hybrid renderer places samples.
+    /// Sample placement of the hybrid renderer.
     pub hybrid: HybridConfig,
     /// The occupancy grid.
     pub occupancy: OccupancyConfig,
@@ -110,8 +110,8 @@ impl Config {
     /// The typed configuration of layered settings, with every range checked.
     ///
     /// # Errors
-    /// Names the first setting that has no such value, is out of range, or belongs to another encoder, and where it was
-    /// set.
+    /// When a value has the wrong type, is out of range, contradicts another setting or belongs to another encoder. The
+    /// error names the first such setting and where it was set.
     pub fn from_settings(settings: &Settings) -> Result<Self> {
         let given = |path: &str| *settings.origin(path) != Origin::Default;
         let place = |path: &str| settings.place(path);
@@ -145,8 +145,8 @@ impl Config {
         Self::from_settings(&settings)
     }
 
-    /// The configuration as TOML text. Settings of encoders that are not at work are left out: a later version may have
-    /// other defaults for them.
+    /// The configuration as TOML text. Settings of unused encoders are left out, because a later version may have other
+    /// defaults for them.
     pub fn to_toml(&self) -> String {
         let text = self.whole_text();
         let (mut section, mut head, mut own) = (String::new(), String::new(), String::new());
@@ -165,9 +165,9 @@ impl Config {
         own
     }
 
-    /// Differences in settings that affect the model: all settings except those that their definitions mark as free, such as
-    /// device, threads, evaluation, scene plan and model file. A checkpoint of a different configuration is refused by them.
-    /// Settings that neither side has a definition of do nothing here, so they do not count.
+    /// Returns the differences in settings that affect the model: all settings except those that their definitions mark
+    /// as free, such as device, threads, evaluation, scene plan and model file. A checkpoint with such a difference is
+    /// refused. Settings without a definition on either side have no effect here and are skipped.
     pub fn differences(&self, other: &Self) -> Vec<String> {
         let (ours, theirs) = (&self.foreign, &other.foreign);
         let definitions = [ours.definitions(), theirs.definitions()];
@@ -211,8 +211,8 @@ impl Config {
     }
 }
 
-/// Refuses the configuration of a model or run with an encoder that this build does not have. Its settings are unknown
-/// here, so this comes first.
+/// Refuses the configuration of a model or run with an encoder that this build does not have. This check comes first,
+/// because the settings of such an encoder are unknown here.
 fn expect_encoder(name: &str, text: &str) -> Result<()> {
     let table = toml::from_str::<toml::Table>(text).unwrap_or_default();
     let kind = table.get("encoder").and_then(|encoder| encoder.get("kind")).cloned();
@@ -264,7 +264,7 @@ mod tests {
             change(&mut config);
             let built = config.validate().unwrap_err();
             assert_eq!((built.exit_code(), read.exit_code()), (2, 2));
-            // Both name the setting and its value; only where it was set differs.
+            // Both errors name the setting and its value; only the place where it was set differs.
             let told = |error: &Error| error.message.split_once(": ").map(|(_, told)| told.to_string());
             assert_eq!(told(&built), told(&read));
             assert!(built.message.starts_with("configuration: "), "{built}");
@@ -408,7 +408,7 @@ mod tests {
         assert_eq!(config.section::<Lamp>().unwrap(), Lamp { watts: 5.0, tint: "warm".into() });
         let text = config.to_toml();
         assert!(text.ends_with("\n[lamp]\nwatts = 5.0\ntint = \"warm\"\n"), "{text}");
-        // Who does not know the section keeps it, and who knows it reads it there.
+        // Settings without the section's definition keep its text, and the typed section can still be read from it.
         let kept = Config::from_toml("model", &text).unwrap();
         assert_eq!((kept.to_toml(), kept.section::<Lamp>().unwrap().watts), (text, 5.0));
         assert_eq!(kept, config);
@@ -433,7 +433,7 @@ mod tests {
         let text = format!("{}\n[lamp]\nwatts = 101\n", Config::default().to_toml());
         let error = Config::from_toml("model", &text).unwrap().section::<Lamp>().unwrap_err();
         assert!(error.exit_code() == 2 && error.message.contains("lamp.watts = 101"), "{error}");
-        // A section of core is open to nobody, and a table within a table is no setting.
+        // Other crates cannot add settings to a section of core, and a nested table is not a setting.
         for text in ["[train]\nlamps = 3\n", "[lamp]\nwatts = { a = 3 }\n", "lamps = 3\n"] {
             assert!(Config::from_toml("model", text).is_err(), "{text}");
         }

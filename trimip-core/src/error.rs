@@ -1,5 +1,5 @@
-//! The error type of the workspace. Its kind tells the cause: the user's input, the run, the device, or a stop.
-//! A message is one line: what was found, where, and what to do.
+//! The error type of the workspace. Its kind is the cause: the user's input, the run, the device, or a stop. A message is
+//! one line: what was found, where, and what to do.
 
 /// Exit code of a program that was stopped: 128 + SIGINT, the shell convention.
 pub const STOPPED: u8 = 130;
@@ -69,14 +69,14 @@ impl Error {
         Self { kind: ErrorKind::Stopped, message: message.into() }
     }
 
-    /// The exit code of its kind.
+    /// The exit code of the error's kind.
     pub fn exit_code(&self) -> u8 {
         self.kind.exit_code()
     }
 }
 
-/// Most characters of a part of a message. Paths and lists of names are shorter; what is longer is a value that a user or
-/// a file has, of which the ends suffice.
+/// Largest number of characters of a part of a message. Paths and lists of names are shorter; a longer part is a value of
+/// a user or a file, and its ends suffice.
 const MOST: usize = 600;
 
 /// A part of a message: one line, shortened, and without characters that act on a terminal. Messages of other libraries
@@ -93,7 +93,7 @@ fn told(part: impl std::fmt::Display) -> String {
         if length > MOST && i == length - MOST / 4 {
             told += &format!(" .. ({length} characters) .. ");
         }
-        // Beside control characters, those that turn the direction of the text.
+        // Control characters are escaped, and those that change the direction of the text.
         match character.is_control() || matches!(character, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
         {
             true => told.extend(character.escape_unicode()),

@@ -1,8 +1,8 @@
-//! The words, mathematics, traits and training loop of Tri-MipRF (Hu et al., ICCV 2023), free of any device.
+//! The types, mathematics, traits and training loop of Tri-MipRF (Hu et al., ICCV 2023), independent of any device.
 //!
 //! Data flows one way: images and cameras → cones → spheres along the cone → features → density and colour →
-//! composited pixels → loss, and back. [`Viewer`] and [`Session`] are the doors
-//! a program uses: what renders, and what trains; [`run::Run`] drives the latter.
+//! composited pixels → loss, and back. A program renders through [`Viewer`] and trains through [`Session`], which
+//! [`run::Run`] drives.
 //!
 //! ```
 //! use glam::DVec3;

@@ -1,18 +1,19 @@
-//! Memory that this process may still take: the machine's, a container's, and what the limit of its addresses leaves. In
-//! bytes, from `/proc` and the control groups of Linux.
+//! Memory that this process may still take: the least of what the machine, a container and the limit of its address space
+//! leave. In bytes, from `/proc` and the control groups of Linux.
 
 use std::fs;
 use std::path::Path;
 
-/// Addresses that an allocator reserves for each thread beside what it hands out, bytes (glibc: 64 MiB).
+/// Address space that an allocator reserves for each thread, in addition to what it hands out, bytes (glibc: 64 MiB).
 const RESERVED_BY_THREAD: u64 = 64 << 20;
 
-/// Memory that this process may still take, bytes; `None` where the system does not tell.
+/// Memory that this process may still take, bytes; `None` where the system does not report it.
 pub fn available_memory() -> Option<u64> {
     [common_memory(), own_memory()].into_iter().flatten().min()
 }
 
-/// Memory that the processes of this machine or container may still take together, bytes; `None` where the system does not tell.
+/// Memory that the processes of this machine or container may still take together, bytes; `None` where the system does
+/// not report it.
 pub fn common_memory() -> Option<u64> {
     [kilobytes("/proc/meminfo", "MemAvailable:"), of_groups()].into_iter().flatten().min()
 }
@@ -22,8 +23,8 @@ pub fn resident_memory() -> Option<u64> {
     kilobytes("/proc/self/status", "VmRSS:")
 }
 
-/// What the control groups of this process leave, each bounded by those above it (cgroup v2, then v1). Pages of files that
-/// are not in use give way.
+/// Memory that the control groups of this process leave, each bounded by those above it (cgroup v2, then v1). Inactive
+/// pages of files count as free.
 fn of_groups() -> Option<u64> {
     let groups = read("/proc/self/cgroup");
     let own = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
@@ -46,12 +47,13 @@ fn of_groups() -> Option<u64> {
     second.or_else(first)
 }
 
-/// What a limit leaves beside `used` bytes, of which `idle` give way.
+/// Memory that a limit leaves after `used` bytes, of which `idle` can be reclaimed.
 fn remaining(limit: u64, used: u64, idle: u64) -> Option<u64> {
     Some(limit.saturating_sub(used.saturating_sub(idle)))
 }
 
-/// What the limit of this process's addresses (`ulimit -v`) leaves, less what its threads reserve, bytes; `None` without one.
+/// Memory that the limit of this process's address space (`ulimit -v`) leaves after the reservations of its threads,
+/// bytes; `None` without a limit.
 pub fn own_memory() -> Option<u64> {
     let limits = read("/proc/self/limits");
     let limit = value(&limits, "Max address space")?;
@@ -70,7 +72,7 @@ fn value(text: &str, name: &str) -> Option<u64> {
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// Such a number in kB, in bytes.
+/// The number that follows `name` in a file, converted from kB to bytes.
 fn kilobytes(path: &str, name: &str) -> Option<u64> {
     value(&read(path), name).map(|kilobytes| 1024 * kilobytes)
 }

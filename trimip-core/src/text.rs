@@ -8,8 +8,8 @@ pub fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes)
 }
 
-/// The bytes of a text in UTF-8: without a byte order mark, and recoded from UTF-16 if its mark is there. What is not valid in UTF-16 is
-/// replaced.
+/// The bytes of a text in UTF-8: without a byte order mark, and recoded from UTF-16 if its mark is there. Invalid UTF-16
+/// is replaced by U+FFFD.
 pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
     let units = |from: fn([u8; 2]) -> u16| {
         let (pairs, _) = bytes[2..].as_chunks();
@@ -27,7 +27,7 @@ pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
 /// Reads a text file; `advice` says what to do if it cannot be read.
 ///
 /// # Errors
-/// When the file cannot be read or is not UTF-8.
+/// When the file cannot be read, or is neither UTF-8 nor UTF-16 with a byte order mark.
 pub fn read(path: &Path, advice: &str) -> Result<String> {
     let bytes = std::fs::read(path)
         .map_err(|error| Error::input(path.display(), format!("cannot be read: {error}"), advice))?;
@@ -37,7 +37,7 @@ pub fn read(path: &Path, advice: &str) -> Result<String> {
 /// The text of a file with these bytes.
 ///
 /// # Errors
-/// When they are not UTF-8.
+/// When they are neither UTF-8 nor UTF-16 with a byte order mark.
 pub fn of_bytes(path: &Path, bytes: &[u8]) -> Result<String> {
     match std::str::from_utf8(&decoded(bytes)) {
         Ok(text) => Ok(text.into()),

@@ -35,7 +35,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
     type Occupancy: Occupancy<Self>;
     /// The terms of the loss.
     type Loss: Loss<Self>;
-    /// The gradient by poses.
+    /// The gradient of the loss with respect to camera poses.
     type Poses: PoseGradients<Self>;
 
     /// Number of steps between a step and the use of its sums, at most [`crate::engine::batch::MOST_PENDING`]. It is
@@ -48,7 +48,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Name in configurations: "cpu", "wgpu".
     fn name(&self) -> &'static str;
 
-    /// Builds the stages of a configuration. Without `views` they render but do not train.
+    /// Builds the stages of a configuration. Without `views` they render but do not train. The box of `config` and the
+    /// cameras of `views` are relative to the centre of the box.
     ///
     /// # Errors
     /// When the configuration or the views do not fit the device.
@@ -60,7 +61,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Creates a buffer of `length` zeros.
     fn zeros<T: Pod + Send + Sync>(&self, length: usize) -> Self::Buffer<T>;
 
-    /// Replaces the buffer's values. The host accesses a buffer only through this and [`Backend::read`].
+    /// Replaces the buffer's values; the buffer gets their length. The host accesses a buffer only through this method,
+    /// [`Backend::read`], [`Backend::look`] and [`Backend::read_async`].
     fn write<T: Pod + Send + Sync>(&self, buffer: &mut Self::Buffer<T>, values: &[T]);
 
     /// Copies the buffer's values to the host; waits for the device.
@@ -79,10 +81,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Runs `work` in the device's worker pool; operations on whole arrays inside `work` use the workers.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
-    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones. Tiles that share a set of partial gradients run one
-    /// after the other, in order. Which tiles share a set of partial gradients depends only on the batch and the number of sets, so the sums
-    /// have the same bits for any number of workers. A GPU takes all pixels as one tile. Only the pixels of this rank's share
-    /// are worked on.
+    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones; `work` gets the range of a tile's
+    /// pixels within the step. `partials` holds [`Backend::partials`] sets. Tiles that share a set of partial gradients
+    /// run one after the other, in order. The batch and the number of sets alone decide which tiles share a set, so the
+    /// sums have the same bits for any number of workers. A GPU takes all pixels as one tile. Only the pixels of this
+    /// rank's share are processed.
     fn train_tiles(
         &self,
         field: &Self::Field,
@@ -91,7 +94,8 @@ pub trait Backend: Sized + Send + Sync + 'static {
         work: &TrainWork<'_, Self>,
     );
 
-    /// Runs `work` over tiles of `0..tiling.count` and collects the `result` of each tile into `out`, in order.
+    /// Runs `work` over tiles of `0..tiling.count`. `result` returns the values of a tile, one per item; `out` becomes
+    /// the values of all items, in order.
     fn map_tiles<T: Pod + Send + Sync>(
         &self,
         field: &Self::Field,
@@ -143,13 +147,14 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Submits the recorded work to the device. Does nothing on a backend that executes work immediately.
     fn submit(&self) {}
 
-    /// Returns what was posted. Waits for them, but not for work recorded after them.
+    /// Returns the sums that were posted. Waits for them, but not for work recorded after them.
     ///
     /// # Errors
     /// When the device failed.
     fn redeem(&self, receipt: Self::Receipt) -> Result<StepResult>;
 
-    /// Largest number of samples of a ray. A software driver ends every loop after a limited number of iterations.
+    /// Largest number of samples of a ray. It is finite for a software driver that ends every loop after a limited number
+    /// of iterations.
     fn longest_ray(&self) -> usize {
         usize::MAX
     }
@@ -162,7 +167,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
         Vec::new()
     }
 
-    /// Checks that the device still works. Once it has failed, the values that [`Backend::read`] returns are not the
+    /// Checks that the device still works. After a failure, the values that [`Backend::read`] returns are not the
     /// model's.
     ///
     /// # Errors
@@ -172,7 +177,9 @@ pub trait Backend: Sized + Send + Sync + 'static {
     }
 }
 
-/// Evaluates the density of every sample in an occupied cell, then drops the samples that cannot be seen.
+/// Evaluates the density of every sample in an occupied cell, then drops the samples that cannot be seen. `parameters` is
+/// flat. `workspace` holds the rays and receives the kept samples with their context, features and radiance. `jitter` is
+/// as in [`Renderer::march`].
 pub fn evaluate_visible_samples<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,

@@ -19,7 +19,7 @@ pub struct Rays<B: Backend> {
     /// One per pixel in training; empty otherwise.
     pub targets: B::Buffer<Target>,
     /// One per pixel in training with `loss.exposure` or refined poses: the number of its photograph, see
-    /// [`exposure`](crate::engine::exposure); empty otherwise.
+    /// [`exposure`](crate::engine::exposure). Empty otherwise.
     pub photographs: B::Buffer<u32>,
     /// Index of the tile's first ray within the step; random numbers are drawn by it.
     pub first: u32,
@@ -58,11 +58,12 @@ pub struct Samples<B: Backend> {
     pub intervals: B::Buffer<Interval>,
     /// One per sample.
     pub spheres: B::Buffer<Sphere>,
-    /// Number of samples marched, and number of those kept.
+    /// One pair: number of samples marched, and number of those kept.
     pub counts: B::Buffer<[u32; 2]>,
 }
 
-/// What the stages of a tile of rays have in common: where they issue their work, and what all of them read.
+/// The arguments that the stages of a tile of rays share: the stream on which they issue their work, and the arrays that
+/// all of them read.
 pub struct Tile<'a, B: Backend> {
     /// The stream on which the work is issued.
     pub stream: &'a mut B::Stream,
@@ -86,27 +87,28 @@ pub struct FieldBackward<'a, B: Backend> {
     pub feature_gradients: &'a mut B::Buffer<f32>,
 }
 
-/// How a step draws the samples that have a backward pass: each with a probability proportional to the norm of its gradient, at most
-/// 1. The gradient of a drawn sample is divided by its probability, so that the expectation of all gradients stays.
+/// The rule by which a step draws the samples that have a backward pass. A sample's probability is proportional to the
+/// norm of its gradient, and at most 1. The gradient of a drawn sample is divided by its probability, so that the
+/// expected gradient is unchanged.
 #[derive(Clone, Copy, Debug)]
 pub struct SampleDraw {
     /// The random numbers of the step, one per ray.
     pub draws: Draws,
-    /// Norm of the gradient of a sample's logits (density and colour) from which it is drawn for certain.
+    /// Norm of the gradient of a sample's logits (density and colour) from which the sample is certainly drawn.
     pub threshold: f32,
 }
 
 impl SampleDraw {
-    /// The random number of the ray number `index` of a step.
+    /// The random number of ray `index` of a step, in [0, 1).
     #[inline]
     pub fn first(&self, index: u32) -> f32 {
         unit(self.draws.bits(index)[0])
     }
 
-    /// The probability of a sample by the norm of its gradient.
+    /// The probability of a sample whose gradient has this norm.
     #[inline]
     pub fn probability(&self, norm: f32) -> f32 {
-        // Not `min`: a gradient that is not a number has the probability 1, and is refused later.
+        // Not `min`: a NaN gradient has the probability 1, and is refused later.
         if norm < self.threshold { norm / self.threshold } else { 1.0 }
     }
 }
@@ -129,21 +131,22 @@ pub struct Workspace<B: Backend> {
     pub rays: Rays<B>,
     /// Samples along them.
     pub samples: Samples<B>,
-    /// What the encoder keeps of each sample from forward to backward.
+    /// Values that the encoder keeps from forward to backward, [samples,
+    /// [`context`](crate::field::encoders::Definition::context)].
     pub encoder_context: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
     /// Gradient of the features, same shape.
     pub feature_gradients: B::Buffer<f32>,
-    /// What the field keeps from forward to backward.
+    /// Values that the field keeps from forward to backward.
     pub field_context: <B::Field as Field<B>>::Context,
     /// One per sample.
     pub radiance: B::Buffer<Radiance>,
     /// Gradient of `radiance`.
     pub radiance_gradients: B::Buffer<Radiance>,
-    /// Rows that pruning kept, or those that were drawn.
+    /// Rows of the samples that pruning kept, or of those that were drawn; ascending.
     pub kept: B::Buffer<u32>,
-    /// Where samples are drawn: one per sample, 1 if it is, otherwise 0.
+    /// With drawn samples: one per sample, 1 if it is drawn, otherwise 0.
     pub marks: B::Buffer<u32>,
     /// Composited cones, one per ray.
     pub cones: B::Buffer<Pixel>,
@@ -194,7 +197,8 @@ pub struct Displaced<B: Backend> {
     pub encoder_context: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
-    /// One per sample: how the loss follows its displacement.
+    /// One per sample: Σ feature · gradient on one side minus that on the other
+    /// ([`PoseGradients::compare`](crate::engine::backend::PoseGradients::compare)).
     pub slopes: B::Buffer<f32>,
 }
 
@@ -228,11 +232,11 @@ pub struct Batch<'a> {
     pub allocation: &'a RayAllocation,
     /// The share of this rank.
     pub this_rank: Rank,
-    /// Cones of a tile, about.
+    /// Approximate number of cones of a tile.
     pub per_tile: u32,
 }
 
-/// Items that are worked on in tiles.
+/// Items that are processed in tiles.
 #[derive(Clone, Copy, Debug)]
 pub struct Tiling {
     /// Number of items.

@@ -27,19 +27,19 @@ pub struct TrainState {
     /// Stage of growth of the encoder's parameters, see [`crate::field::encoders::Definition::stage`].
     #[serde(default, rename = "halvings")]
     pub stage: u32,
-    /// The marching step of the last step in uniform steps, divided by the cones of a pixel; 0 before the first. A
-    /// pixel's samples are inversely proportional to it.
+    /// Marching step of the last training step in units of the uniform step, divided by the cones of a pixel; 0 before
+    /// the first training step. The number of samples of a pixel is inversely proportional to it.
     #[serde(default, rename = "step_scale")]
     pub spacing: f64,
-    /// Sums of the last steps that the next ones will use, oldest first, each with its step's `spacing`. The totals
-    /// hold them.
+    /// Sums of the last steps that later steps will use, oldest first, each with its step's `spacing`. The totals include
+    /// them.
     #[serde(default)]
     pub pending: [Option<(f64, StepSums)>; MOST_PENDING],
     /// Pixels of the next step (dynamic batch).
     pub rays_per_step: u32,
     /// Marched samples per pixel of the last step, which sizes the next step's tiles.
     pub marched_per_ray: f32,
-    /// Norm of a sample's gradient from which it has a backward pass for certain, see
+    /// Norm of a sample's gradient from which the sample certainly has a backward pass, see
     /// [`SampleDraw`](crate::engine::batch::SampleDraw); 0 as long as all samples have one.
     #[serde(default)]
     pub draw_threshold: f64,
@@ -57,8 +57,8 @@ pub struct TrainState {
 /// Largest count of a run: f64 holds it exactly, and sums of a few do not overflow.
 const MOST_COUNTED: u64 = 1 << 53;
 
-/// Largest factor between marching steps, see [`TrainState::spacing`]: 64 uniform steps, and 64 cones of a pixel whose step
-/// is a quarter of one.
+/// Bound of [`TrainState::spacing`], whose inverse is the lower bound. The extremes are a marching step of 64 uniform
+/// steps, and a quarter of a uniform step with 64 cones per pixel (1/256).
 const MOST_SPACING: f64 = 256.0;
 
 impl TrainState {
@@ -133,7 +133,7 @@ impl TrainState {
     }
 }
 
-/// True for tensors, beside moments, that only training needs.
+/// True for tensors, in addition to moments, that only training needs.
 fn of_training(name: &str) -> bool {
     name == OCCUPANCY_DENSITY
         || [exposure::PREFIX, poses::PREFIX, error_map::PREFIX].iter().any(|prefix| name.starts_with(prefix))
@@ -146,8 +146,9 @@ pub struct Checkpoint {
     pub config: Config,
     /// Counters and batch state.
     pub state: TrainState,
-    /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`; with
-    /// `loss.exposure` the log-gains of the photographs, `exposure.*`, with refined poses their corrections, `poses.*`.
+    /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`. With
+    /// `loss.exposure` the log-gains of the photographs, `exposure.*`; with refined poses their corrections, `poses.*`;
+    /// with `train.error_map` its state, `error_map.*`.
     pub file: TensorFile,
 }
 
@@ -228,7 +229,7 @@ impl Checkpoint {
     /// Refuses a checkpoint whose settings differ from `config`.
     ///
     /// # Errors
-    /// When a setting differs; names each.
+    /// When a setting differs; the error names each.
     pub fn expect_config(&self, place: &str, config: &Config) -> Result<()> {
         let differences = config.differences(&self.config);
         if differences.is_empty() {

@@ -1,7 +1,8 @@
-//! The error map (`train.error_map`): which pixels a step draws. Photographs are divided into cells, the same at every scale, and
-//! each cell has the mean squared error that drawn pixels had there. A part of a step's pixels is drawn with a probability
-//! proportional to the root of it, which minimises the variance of the gradient (importance sampling); the others are drawn evenly. A
-//! pixel's loss is divided by its probability, so that the expected gradient stays that of even draws.
+//! The error map (`train.error_map`), which decides the pixels that a step draws. Photographs are divided into cells, the
+//! same at every scale. Each cell has the mean squared error of the pixels that were drawn there. A fraction of a step's
+//! pixels is drawn with a probability proportional to the square root of this error, which minimises the variance of the
+//! gradient (importance sampling); the others are drawn evenly. A pixel's loss is divided by its probability, so that the
+//! expected gradient is that of even draws.
 
 use crate::{
     Config, Error, Result, View, ViewSet,
@@ -10,7 +11,7 @@ use crate::{
     math::rng::below,
 };
 
-/// Prefix of the names of its tensors in checkpoints.
+/// Prefix of the names of the error map's tensors in checkpoints.
 pub const PREFIX: &str = "error_map.";
 
 /// Side of a cell, in pixels of the finest scale, unless there would be more than [`MOST_CELLS`].
@@ -19,13 +20,13 @@ const SIDE: u32 = 32;
 /// Most cells of all photographs. Probabilities are multiples of 2^−32, and a cell has several thousand of them.
 const MOST_CELLS: u64 = 1 << 18;
 
-/// What remains of the sums of a cell at an update. With updates every 16 steps, a cell forgets half in 430 steps.
+/// Factor of a cell's sums at each update. With updates every 16 steps, a cell forgets half in about 440 steps.
 const DECAY: f32 = 0.975;
 
-/// Number of pixels of mean error that every cell is thought to have had.
+/// Prior of every cell: as many pixels with the mean error are added to its drawn ones.
 const PRIOR: f64 = 2.0;
 
-/// Fixed-point value of a squared error of 1, as devices sum them up.
+/// Fixed-point value of a squared error of 1 in the sums of devices.
 pub const UNIT: f32 = 16_777_216.0;
 
 /// Largest squared error of a pixel that counts.
@@ -52,7 +53,7 @@ pub struct Drawn {
     pub view: usize,
     /// Index among all pixels of the views.
     pub pixel: usize,
-    /// Probability of the pixel if its scale were drawn from evenly, relative to the one that it has.
+    /// Probability of the pixel under an even draw from its scale, divided by its actual probability.
     pub importance: f32,
 }
 
@@ -65,18 +66,18 @@ pub struct ErrorMap {
     areas: Vec<u32>,
     /// Σ squared error and number of drawn pixels of each cell, both decaying.
     sums: Vec<[f32; 2]>,
-    /// The random number from which each cell is drawn: the first is 0. The last ends at 2^32.
+    /// First random number that draws each cell: 0 for the first cell. The range of the last cell ends at 2^32.
     starts: Vec<u32>,
     guide: Guide,
 }
 
-/// Where to look for the cell of a random number (Chen and Asau 1974): random numbers are divided into equal parts, about as many as
-/// there are cells.
+/// Lookup table from a random number to the neighbourhood of its cell (Chen and Asau 1974). Random numbers are divided
+/// into equal parts, about as many as there are cells.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Guide {
     /// The cell of the first number of each part.
     cells: Vec<u32>,
-    /// A number without so many of its lowest bits is the index of its part.
+    /// Number of lowest bits to drop from a random number for the index of its part.
     shift: u32,
 }
 
@@ -94,7 +95,7 @@ impl Guide {
         Self { cells: (0..parts).map(first_of).collect(), shift }
     }
 
-    /// The last of the `starts` that is at most `bits`.
+    /// Returns the index of the last of the `starts` that is at most `bits`.
     #[inline]
     fn find(&self, starts: &[u32], bits: u32) -> usize {
         let part = (bits >> self.shift) as usize;
@@ -104,19 +105,19 @@ impl Guide {
     }
 }
 
-/// The pixels `begin..end` of the part `part` of `parts` along a side of `pixels` pixels.
+/// The pixels `[begin, end]` (`end` excluded) of part `part` of `parts` along a side of `pixels` pixels.
 #[inline]
 fn part(pixels: u32, part: u32, parts: u32) -> [u32; 2] {
     [part, part + 1].map(|edge| (edge * pixels).div_ceil(parts))
 }
 
-/// The squared error that the gradient of a pixel's loss tells, mean over channels: of the usual losses it is the squared
-/// difference of colours, as far as that is small.
+/// Returns the squared error of a pixel, mean over channels, from the gradient of its loss by [r, g, b, opacity] and its
+/// weight. For the usual losses it is the squared colour difference, as long as that is small.
 #[inline]
 pub fn error_of(gradient: [f32; 4], weight: f32) -> f32 {
     let [r, g, b, _] = gradient.map(|by| 3.0 * by / weight);
     let error = (r * r + g * g + b * b) / 3.0;
-    // Not `min`: what is not a number counts as the most.
+    // Not `min`: NaN counts as the largest error.
     if error < MOST_ERROR { error } else { MOST_ERROR }
 }
 
@@ -196,12 +197,13 @@ impl ErrorMap {
         &self.grids
     }
 
-    /// The random number from which each cell is drawn, rising from 0.
+    /// The first random number that draws each cell, rising from 0.
     pub fn starts(&self) -> &[u32] {
         &self.starts
     }
 
-    /// Takes the errors of the last steps. From now on the fraction `fraction` of the pixels is drawn by the errors.
+    /// Adds the errors of the last steps, one per cell, to the decayed sums. The fraction `fraction` of later pixels is
+    /// drawn by the errors.
     pub fn update(&mut self, errors: &[CellErrors], fraction: f64) {
         for (sums, &[error, count]) in self.sums.iter_mut().zip(errors) {
             *sums = [DECAY * sums[0] + error as f32 / UNIT, DECAY * sums[1] + count as f32];
@@ -209,7 +211,7 @@ impl ErrorMap {
         self.follow(fraction);
     }
 
-    /// Makes the probabilities of the cells those of their errors.
+    /// Sets the probabilities of the cells from their errors.
     fn follow(&mut self, fraction: f64) {
         let sum = |i: usize| self.sums.iter().map(|sums| f64::from(sums[i])).sum::<f64>();
         let mean = sum(0) / sum(1).max(1.0);
@@ -225,7 +227,7 @@ impl ErrorMap {
         self.starts.clear();
         let cells = self.areas.len() as u32;
         for ((i, &own), weight) in (0..).zip(&self.areas).zip(weights) {
-            // Every cell can be drawn: by one number, if it is tiny.
+            // Every cell can be drawn: a tiny one by a single random number.
             let least = self.starts.last().map_or(0, |last| last + 1);
             let most = u32::MAX - (cells - 1 - i);
             self.starts.push(((range * before).round() as u32).max(least).min(most));
@@ -241,8 +243,8 @@ impl ErrorMap {
         self.guide.find(&self.starts, bits)
     }
 
-    /// The pixel that random numbers draw from the views of a scale, which has `count` pixels: its view, its index, and its
-    /// importance.
+    /// The pixel that random numbers draw from the views of a scale, which has `count` pixels: its view, its index among
+    /// all pixels, and its importance.
     #[inline]
     pub fn draw(&self, views: &[View], count: usize, bits: [u32; 4]) -> (usize, usize, f32) {
         let cell = self.cell(bits[0]);
@@ -254,7 +256,7 @@ impl ErrorMap {
         let [[left, right], [top, bottom]] = [0, 1].map(|i| part(size[i], at[i], grid.size[i]));
         let x = left + below(bits[1], right - left);
         let y = top + below(bits[2], bottom - top);
-        // 2^32 where there is a single cell.
+        // The width is 2^32 for a single cell.
         let width = match self.starts.get(cell + 1) {
             Some(&next) => (next - self.starts[cell]) as f32,
             None => (u64::from(u32::MAX) + 1 - u64::from(self.starts[cell])) as f32,
@@ -263,7 +265,7 @@ impl ErrorMap {
         (photograph, view.offset + (y * size[0] + x) as usize, area / width * per_pixel(count))
     }
 
-    /// Adds everything that training needs to go on; `pending` are the errors since the last update.
+    /// Adds the tensors that training needs to resume; `pending` are the errors since the last update.
     pub(crate) fn to_tensors(&self, pending: &[CellErrors], file: &mut TensorFile) {
         let words = |values: &[u32]| Tensor::u8(&[values.len(), 4], bytemuck::cast_slice(values).to_vec());
         let sums = Tensor::f32(&[self.len(), 2], self.sums.as_flattened().to_vec());
@@ -273,7 +275,8 @@ impl ErrorMap {
         file.tensors.insert(format!("{PREFIX}pending"), Tensor::u8(&[self.len(), 16], pending));
     }
 
-    /// The state in a checkpoint of a run on the same photographs, with the errors since its last update; `name` is its place.
+    /// Reads the state from a checkpoint of a run on the same photographs, with the errors since its last update; `name`
+    /// names the checkpoint in errors.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<(Self, Vec<CellErrors>)> {
         let tensor = |of: &str| format!("{PREFIX}{of}");
         let sums = file.f32(name, &tensor("sums"), &[self.len(), 2])?.as_chunks().0.to_vec();
@@ -348,7 +351,8 @@ mod tests {
         assert_eq!(ErrorMap::new(&Config::default(), &views(&[[8, 8]])).unwrap(), None);
     }
 
-    /// Every pixel is drawn as often as its importance tells, and the importances make all of them count alike.
+    /// The frequency of every pixel is inversely proportional to its importance, so that weighted draws count all pixels
+    /// alike.
     #[test]
     fn pixels_are_drawn_by_their_importance() {
         let views = views(&[[70, 40], [33, 5], [1, 1]]);
@@ -381,7 +385,7 @@ mod tests {
     fn a_cell_is_the_last_that_starts_before_its_number() {
         let random = Random::new(4).at(Sequence::Pixel, 1);
         for count in [1, 2, 3, 64, 1000] {
-            // From numbers side by side to gaps of many parts.
+            // From adjacent numbers to gaps of many parts.
             let mut starts: Vec<u32> = (0..count).map(|i| random.bits(i)[0] >> (i % 29)).collect();
             starts[0] = 0;
             starts.sort_unstable();

@@ -16,7 +16,7 @@ pub struct Totals {
     pub samples: u64,
     /// Samples marched, whose density was evaluated; summed over steps.
     pub marched: u64,
-    /// Rays, summed over steps.
+    /// Rays, one per pixel, summed over steps.
     pub rays: u64,
     /// Steps whose batch kept no sample.
     pub empty_batches: u64,
@@ -67,7 +67,7 @@ pub enum Event {
     Plan {
         /// The overview, line by line.
         lines: Vec<String>,
-        /// The same in a few short lines.
+        /// The overview in a few short lines.
         #[serde(default)]
         summary: Vec<String>,
         /// Predicted peak memory.

@@ -1,6 +1,6 @@
 //! The interface for training one model in several processes, called ranks. Every rank computes a share of each step's
-//! pixels. An [`Exchange`] brings together what they computed, and every rank takes the same step with the same bits. It sends
-//! its messages by [`Ranks`].
+//! pixels. An [`Exchange`] combines their results, and every rank takes the same step with the same bits. Messages are
+//! sent through [`Ranks`].
 
 pub use crate::engine::ranks::{Rank, Ranks, fault};
 
@@ -14,8 +14,9 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Brings together what the ranks computed in a step. The trainer calls [`partials`](Self::partials), then
-/// [`update`](Self::update); [`sums`](Self::sums) between the two on a backend without lag, else after them for an earlier step.
+/// Combines the results of the ranks in a step. The trainer calls [`partials`](Self::partials), then
+/// [`update`](Self::update). On a backend without lag it calls [`sums`](Self::sums) between the two, otherwise after them
+/// for an earlier step.
 pub trait Exchange<B: Backend>: Send {
     /// This rank: it computes its part of each step's pixels.
     fn rank(&self) -> Rank {
@@ -36,7 +37,7 @@ pub trait Exchange<B: Backend>: Send {
         Ok(())
     }
 
-    /// Called with the sums of a step that were posted on this rank; returns those of all ranks.
+    /// Called with the sums of a step that were posted on this rank; returns the sums of all ranks.
     ///
     /// # Errors
     /// When another rank is gone.
@@ -54,7 +55,8 @@ pub trait Exchange<B: Backend>: Send {
         Ok(())
     }
 
-    /// Called with the errors of the pixels that this rank drew, by cells of the error map; returns those of all ranks.
+    /// Called with the errors of the pixels that this rank drew, one per cell of the error map; returns the errors of all
+    /// ranks.
     ///
     /// # Errors
     /// When another rank is gone.
@@ -78,8 +80,8 @@ pub struct Alone;
 
 impl<B: Backend> Exchange<B> for Alone {}
 
-/// For any backend: every rank adds up the gradients of all ranks in the order of the ranks, and takes the whole step. Every
-/// rank has the same bits; another number of ranks rounds the sums in another way.
+/// An exchange for any backend: every rank adds up the gradients of all ranks in rank order and updates all parameters.
+/// All ranks have the same bits; the rounding of the sums depends on the number of ranks.
 pub struct Summed {
     ranks: Arc<dyn Ranks>,
     received: Vec<Vec<u8>>,
@@ -92,7 +94,7 @@ impl Summed {
         Self { ranks, received }
     }
 
-    /// Sends `own` to every rank; calls `add` with what each rank sent, in order.
+    /// Sends `own` to every rank; calls `add` with the bytes of each rank, in order.
     fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let Self { ranks, received } = self;
         let this_rank = ranks.rank();

@@ -1,6 +1,7 @@
 //! Exposure of photographs, for `loss.exposure = "gain"`: photograph i has three log-gains e_i (RGB), and the loss compares
-//! exp(e_i − mean of e)·rendered with it. The mean fixes the scale of the model's colours, so a camera without a photograph
-//! is rendered at the mean exposure. The log-gains are trained beside the parameters and are no part of a model.
+//! exp(e_i − mean of e)·rendered with the photograph. The mean fixes the scale of the model's colours, so a camera
+//! without a photograph is rendered at the mean exposure. The log-gains are trained alongside the parameters and are not
+//! part of a model.
 
 pub use crate::engine::lagged::LAG;
 
@@ -12,14 +13,14 @@ use crate::{
 };
 use std::collections::BTreeMap;
 
-/// Prefix of the names of its tensors in checkpoints.
+/// Prefix of the names of the log-gains' tensors in checkpoints.
 pub const PREFIX: &str = "exposure.";
 
-/// Largest log-gain: four stops, ln 16. A photograph without any light must not take the mean along.
+/// Largest log-gain: four stops, ln 16. The bound keeps a photograph without any light from shifting the mean.
 const MOST: f32 = 2.772_588_7;
 
-/// The number of the photograph of each view, counted from 0. Views of one name at different scales are one photograph;
-/// of several views of one name at a scale, the first belongs to the first at the others.
+/// Returns the number of each view's photograph, counted from 0. Views of one name at different scales are one
+/// photograph. If a scale has several views of one name, the n-th of them at every scale are one photograph.
 pub fn photographs(views: &ViewSet) -> Vec<u32> {
     let mut numbers = BTreeMap::new();
     let mut all = vec![0; views.views.len()];
@@ -36,9 +37,9 @@ pub fn photographs(views: &ViewSet) -> Vec<u32> {
     all
 }
 
-/// A rendered picture at the exposure of its photograph, which no camera pose tells: each half (`left` and not) times the
-/// gain of each channel that fits the other half best, by least squares, within four stops. No pixel has a part in its own
-/// gain. `behind` is as in [`exposed`].
+/// Returns a rendered picture at the exposure of its photograph, which the camera pose does not determine. Each half
+/// (`left` or not) is multiplied, per channel, by the gain that fits the other half best: by least squares, within four
+/// stops. No pixel contributes to its own gain. All slices have one entry per pixel (RGB); `behind` is as in [`exposed`].
 ///
 /// # Panics
 /// If the slices differ in length.
@@ -63,7 +64,7 @@ pub fn exposed_by_the_other_half(
     (0..shown.len()).map(|i| exposed(shown[i], behind[i], gains[usize::from(left[i])])).collect()
 }
 
-/// Log-gains of all photographs in training, their moments, and gradients that did not move them yet.
+/// Log-gains of all photographs in training, their moments, and the gradients not applied yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exposures(Lagged<3>);
 
@@ -73,7 +74,7 @@ impl Exposures {
         Self(Lagged::new(count))
     }
 
-    /// Replaces the log-gains (RGB), one per photograph; others are left out.
+    /// Replaces the log-gains (RGB), one per photograph; surplus values are ignored.
     pub fn set(&mut self, values: &[[f32; 3]]) {
         self.0.values.iter_mut().zip(values).for_each(|(own, value)| *own = *value);
     }
@@ -90,8 +91,8 @@ impl Exposures {
         self.log_gains().into_iter().map(|value| value.map(|value| value.exp() as f32)).collect()
     }
 
-    /// The gradient of a step's mean loss by the log-gains. The mean of all log-gains is subtracted from each, so the mean
-    /// of the derivatives is, too.
+    /// The gradient of a step's mean loss by the log-gains: RGB of each photograph. The mean of all log-gains is
+    /// subtracted from each, so the mean of the derivatives is subtracted, too.
     pub fn gradient(&self, step: &StepResult) -> Vec<[f32; 3]> {
         let divided = |sum: &[f64; 3]| match step.sums.weight > 0.0 {
             true => sum.map(|sum| sum / step.sums.weight),
@@ -103,7 +104,7 @@ impl Exposures {
         own.iter().map(|own| std::array::from_fn(|c| (own[c] - mean[c]) as f32)).collect()
     }
 
-    /// Takes the result of the next step.
+    /// Queues the gradient of the next step's result.
     pub(crate) fn take(&mut self, step: &StepResult) {
         self.0.take(self.gradient(step));
     }
@@ -125,12 +126,12 @@ impl Exposures {
         moved
     }
 
-    /// Adds everything that training needs to go on: tensors of shape [photographs, 3].
+    /// Adds the tensors that training needs to resume, of shape [photographs, 3].
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
         self.0.to_tensors(PREFIX, file);
     }
 
-    /// The state in a checkpoint of a run on as many photographs; `name` is its place.
+    /// Reads the state from a checkpoint of a run on as many photographs; `name` names the checkpoint in errors.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self(self.0.restored(PREFIX, file, name)?))
     }
@@ -206,19 +207,19 @@ mod tests {
         let behind: Vec<[f32; 3]> = (0..8).map(|i| [0.01 * i as f32; 3]).collect();
         let left: Vec<bool> = (0..8).map(|i| i % 4 < 2).collect();
         let by_hand = |i: usize, gain: [f32; 3]| exposed(shown[i], behind[i], gain);
-        // A photograph of another exposure is met.
+        // A photograph of another exposure is matched.
         let gains = [1.5, 0.5, 2.0];
         let target: Vec<_> = (0..8).map(|i| by_hand(i, gains)).collect();
         let found = exposed_by_the_other_half(&shown, &behind, &target, &left);
         for (found, target) in found.as_flattened().iter().zip(target.as_flattened()) {
             assert!((found - target).abs() < 1e-6, "{found} is not {target}");
         }
-        // What is seen on the left moves the right half alone.
+        // A change in the left half changes the right half alone.
         let mut moved = target.clone();
         moved[0] = [1.0; 3];
         let other = exposed_by_the_other_half(&shown, &behind, &moved, &left);
         assert!((0..8).all(|i| (other[i] == found[i]) == left[i]), "{other:?}");
-        // Nothing tells the gain where nothing was rendered, and four stops are the most.
+        // The gain is 1 where nothing was rendered, and at most four stops.
         let dark = exposed_by_the_other_half(&behind, &behind, &target, &left);
         assert_eq!(dark, behind);
         let bright = exposed_by_the_other_half(&shown[4..5], &[[0.0; 3]], &[[1.0; 3]], &[true]);
@@ -250,7 +251,7 @@ mod tests {
             let moved = exposures.advance(&config, 1e-2, steps as u64 + 1, 0);
             assert_eq!(moved, steps >= LAG);
         }
-        // The two that are due, by the rule of the network's parameters.
+        // The two gradients that are due, applied by the rule of the network's parameters.
         let (mut value, mut m, mut v) = (0.0_f32, 0.0, 0.0);
         for (step, gradient) in [(1, 0.5), (2, -0.25)] {
             let rule = Rule { shrink: 1.0, ..Rule::new(&config, 1e-2, step) };
@@ -258,11 +259,11 @@ mod tests {
         }
         assert!(value != 0.0);
         assert_eq!(exposures.0.values, [[value, 0.0, 0.0], [-value, 0.0, 0.0]]);
-        // What waits survives a checkpoint.
+        // Queued gradients survive a checkpoint.
         let mut file = TensorFile::default();
         exposures.to_tensors(&mut file);
         assert!(file.tensors.contains_key(&format!("{PREFIX}pending.{}", LAG - 1)));
-        // The gradient that is not a number is compared as text.
+        // One gradient is NaN, so the states are compared as text.
         let restored = Exposures::new(2).restored(&file, "checkpoint").unwrap();
         assert_eq!(format!("{restored:?}"), format!("{exposures:?}"));
         assert_eq!(Exposures::new(3).restored(&file, "checkpoint").unwrap_err().exit_code(), 2);

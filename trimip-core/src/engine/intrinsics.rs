@@ -1,8 +1,8 @@
 //! Intrinsics of photographs, for `train.cameras = "refine"`: training also changes the focal length, the principal point and the
-//! first radial coefficient of each camera. Photographs of equal intrinsics share one camera. Only perspective cameras change, and
-//! k₁ only where the lens has distortion: photographs without any were undistorted or rendered.
+//! first radial coefficient of each camera. Photographs of equal intrinsics share one camera. Only perspective cameras
+//! change, and k₁ only where the lens has distortion: photographs without distortion were undistorted or rendered.
 //!
-//! What changes is preconditioned ([`Preconditioner`]), trained like the poses, and no part of a model.
+//! The changes are preconditioned ([`Preconditioner`]), trained like the poses, and not part of a model.
 
 use crate::{
     Intrinsics, Result,
@@ -18,10 +18,10 @@ use crate::{
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Prefix of the names of its tensors in checkpoints.
+/// Prefix of the names of the intrinsics' tensors in checkpoints.
 const PREFIX: &str = "poses.intrinsics.";
 
-/// A change of intrinsics: of the logarithm of both focal lengths; of the principal point, x and y, in focal lengths; of k₁.
+/// A change of intrinsics: [logarithm of both focal lengths, principal point x and y in focal lengths, k₁].
 pub type Change = [f64; 4];
 
 /// Intrinsics after a change, at any scale of the photograph.
@@ -29,7 +29,8 @@ pub fn changed(given: &Intrinsics, change: &Change) -> Intrinsics {
     ChangedCamera::new(given, *change).at(given)
 }
 
-/// A changed camera. Its lens is found once, which takes longer than all the rest, and not again at every scale of each photograph.
+/// A changed camera. Its lens is computed once, not again at every scale of each photograph, because that takes longer
+/// than all the rest.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ChangedCamera {
     change: Change,
@@ -41,7 +42,7 @@ impl ChangedCamera {
         Self { change, lens: given.lens.with_more_k1(change[3]) }
     }
 
-    /// The intrinsics of a photograph that was given with `given`, at any scale.
+    /// The changed intrinsics of a photograph with the given intrinsics `given`, at any scale.
     pub fn at(&self, given: &Intrinsics) -> Intrinsics {
         let [focal, x, y, _] = self.change;
         Intrinsics {
@@ -79,8 +80,9 @@ impl Shared {
         Self { given, preconditioner: Preconditioner::of(rows.flatten()) }
     }
 
-    /// The derivatives of a loss by its change, of photographs taken with these axes and the sums `of` them. A fixed pixel's direction
-    /// moves against each of the changes. That a distorted lens does not move all directions by as much is left out.
+    /// The derivatives of a loss by this camera's change, for a photograph with the axes `axes` and the camera sums `of`.
+    /// A fixed pixel's direction moves against each change. A distorted lens does not move all directions equally; this
+    /// is neglected.
     fn by_change(&self, axes: &DMat3, of: &CameraSums) -> Change {
         if self.given.lens.model != Model::Perspective {
             return [0.0; 4];
@@ -96,7 +98,7 @@ impl Shared {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SharedIntrinsics {
     cameras: Vec<Shared>,
-    /// Of each photograph: the camera that took it, and its axes as given.
+    /// One per photograph: the index of its camera, and its axes as given.
     photographs: Vec<(usize, DMat3)>,
     corrections: Lagged<4>,
 }
@@ -115,7 +117,8 @@ pub struct ChangedIntrinsics {
 }
 
 impl SharedIntrinsics {
-    /// The intrinsics of the finest view of each photograph, with the camera's axes in the world.
+    /// Groups photographs into cameras, given the intrinsics of each photograph's finest view and its camera's axes in
+    /// the world.
     pub fn new(photographs: impl IntoIterator<Item = (Intrinsics, DMat3)>) -> Self {
         let mut cameras: Vec<Shared> = Vec::new();
         let mut number = |given: Intrinsics| {
@@ -130,19 +133,19 @@ impl SharedIntrinsics {
         Self { corrections: Lagged::new(cameras.len()), cameras, photographs }
     }
 
-    /// The camera of each photograph as it is now.
+    /// The current camera of each photograph.
     pub fn changed(&self) -> Vec<ChangedCamera> {
         let camera = |(i, camera): (usize, &Shared)| ChangedCamera::new(&camera.given, self.change(i));
         let cameras: Vec<ChangedCamera> = self.cameras.iter().enumerate().map(camera).collect();
         self.photographs.iter().map(|(camera, _)| cameras[*camera]).collect()
     }
 
-    /// The present change of camera `i`.
+    /// The current change of camera `i`.
     fn change(&self, i: usize) -> Change {
         self.cameras[i].preconditioner.change(self.corrections.values[i].map(f64::from))
     }
 
-    /// Given intrinsics of each camera at its finest scale, and their present change.
+    /// Given intrinsics of each camera at its finest scale, and their current change.
     pub fn refined(&self) -> Vec<(Intrinsics, Change)> {
         let camera = |(i, camera): (usize, &Shared)| (camera.given, self.change(i));
         self.cameras.iter().enumerate().map(camera).collect()
@@ -187,7 +190,7 @@ impl SharedIntrinsics {
         sums
     }
 
-    /// Takes the result of the next step.
+    /// Queues the gradient of the next step's result.
     pub fn take(&mut self, step: &StepResult) {
         let gradient =
             |(camera, by): (&Shared, Change)| camera.preconditioner.gradient(by).map(|by| by as f32);
@@ -203,12 +206,12 @@ impl SharedIntrinsics {
         }
     }
 
-    /// Adds everything that training needs to go on: tensors of shape [cameras, 4].
+    /// Adds the tensors that training needs to resume, of shape [cameras, 4].
     pub fn to_tensors(&self, file: &mut TensorFile) {
         self.corrections.to_tensors(PREFIX, file);
     }
 
-    /// The state in a checkpoint of a run with as many cameras; `name` is its place.
+    /// Reads the state from a checkpoint of a run with as many cameras; `name` names the checkpoint in errors.
     pub fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self { corrections: self.corrections.restored(PREFIX, file, name)?, ..self.clone() })
     }
@@ -230,7 +233,7 @@ mod tests {
         Camera::look_at(intrinsics, DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z)
     }
 
-    /// Changes commute with scales: of a photograph at half of its size, each pixel is the same block.
+    /// Changes commute with scales: after a change, a pixel at half size still covers the same block of full-size pixels.
     #[test]
     fn a_change_is_one_for_all_scales() {
         let given = camera(lens()).intrinsics;
@@ -246,7 +249,7 @@ mod tests {
         );
     }
 
-    /// A loss that pulls the directions of some pixels has the derivatives that the sums tell.
+    /// A loss that pulls the directions of some pixels has the derivatives that follow from the sums.
     #[test]
     fn the_gradient_is_the_slope_by_each_change() {
         for (lens, tolerance) in [(Lens::default(), 1e-6), (lens(), 0.05)] {
@@ -296,7 +299,7 @@ mod tests {
         }
     }
 
-    /// Photographs of one camera share what they teach; another camera keeps its intrinsics; a checkpoint keeps all.
+    /// Photographs of one camera share their gradients, another camera keeps its intrinsics, and a checkpoint keeps all.
     #[test]
     fn equal_intrinsics_are_one_camera() {
         let one = camera(Lens::default());

@@ -1,5 +1,5 @@
-//! Parameters of photographs that are trained beside a model's: their gradients come to the host with a step's sums and move
-//! them some steps later, by Adam.
+//! Parameters of photographs that are trained alongside the model's. Their gradients reach the host with a step's sums,
+//! and Adam applies them some steps later.
 
 use crate::{
     Result,
@@ -12,10 +12,10 @@ use crate::{
 };
 use std::collections::VecDeque;
 
-/// Number of steps after which a step's gradient moves the parameters, on every backend: a device runs ahead of the host.
+/// Number of steps between a step and the use of its gradient, on every backend, because a device runs ahead of the host.
 pub const LAG: usize = MOST_PENDING;
 
-/// `N` parameters of each photograph, their moments, and gradients that did not move them yet.
+/// `N` parameters of each photograph, their moments, and the gradients not applied yet.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Lagged<const N: usize> {
     /// One row per photograph.
@@ -33,13 +33,13 @@ impl<const N: usize> Lagged<N> {
         Self { values: zeros(), m: zeros(), v: zeros(), arrived: VecDeque::new() }
     }
 
-    /// Takes the gradient of the next step.
+    /// Queues the gradient of the next step, one row per photograph.
     pub fn take(&mut self, gradient: Vec<[f32; N]>) {
         self.arrived.push_back(gradient);
     }
 
-    /// The oldest gradient, and the step that it moves the parameters in, if that is due after `steps` steps, of which
-    /// `in_transit` have not arrived.
+    /// Removes and returns the oldest gradient, with the number of its step, if it is due after `steps` steps. The
+    /// gradients of `in_transit` of these steps have not arrived.
     pub fn due(&mut self, steps: u64, in_transit: usize) -> Option<(u64, Vec<[f32; N]>)> {
         if self.arrived.len() + in_transit <= LAG {
             return None;
@@ -48,7 +48,8 @@ impl<const N: usize> Lagged<N> {
         Some((steps.saturating_sub((self.arrived.len() + in_transit) as u64).max(1), gradient))
     }
 
-    /// Moves the parameters in `step` (Adam, without decay).
+    /// Moves the parameters by the gradient of step `step` (Adam, without decay). Skips gradients whose square is not
+    /// finite.
     pub fn apply(&mut self, config: &OptimizerConfig, rate: f64, step: u64, gradient: &[[f32; N]]) {
         let rule = Rule { shrink: 1.0, ..Rule::<f32>::new(config, rate, step) };
         let moments = self.m.as_flattened_mut().iter_mut().zip(self.v.as_flattened_mut());
@@ -60,7 +61,7 @@ impl<const N: usize> Lagged<N> {
         }
     }
 
-    /// Adds everything that training needs to go on: tensors of shape [photographs, N], whose names begin with `prefix`.
+    /// Adds the tensors that training needs to resume, of shape [photographs, N], with names that begin with `prefix`.
     pub fn to_tensors(&self, prefix: &str, file: &mut TensorFile) {
         let shape = [self.values.len(), N];
         let mut add = |name: String, values: &[[f32; N]]| {
@@ -73,7 +74,7 @@ impl<const N: usize> Lagged<N> {
         self.arrived.iter().enumerate().for_each(|(i, values)| add(format!("pending.{i}"), values));
     }
 
-    /// The state in a checkpoint of a run on as many photographs; `name` is its place.
+    /// Reads the state from a checkpoint of a run on as many photographs; `name` names the checkpoint in errors.
     pub fn restored(&self, prefix: &str, file: &TensorFile, name: &str) -> Result<Self> {
         let shape = [self.values.len(), N];
         let of =

@@ -34,10 +34,10 @@ pub struct LoadedModel<B: Backend> {
     pub(crate) stages: Stages<B>,
     pub(crate) parameters: B::Buffer<f32>,
     frame: B::Buffer<Pixel>,
-    /// Data that the renderer needs beside the parameters.
+    /// Data that the renderer needs in addition to the parameters.
     assets: Assets,
-    /// The occupancy bits of a finished model, also of cells that are left out. The host has them: a page cannot wait until a device
-    /// is read.
+    /// The occupancy bits of a finished model before any clipping. They are kept on the host, because a web page cannot
+    /// wait for a read from the device.
     unclipped: Vec<u8>,
 }
 
@@ -205,7 +205,8 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(all.into_inner().unwrap_or_else(PoisonError::into_inner)))
     }
 
-    /// The occupancy bits of a finished model, without those of cells whose centre is outside of a part of `keep`.
+    /// The occupancy bits of a finished model, without those of cells whose centre is outside at least one part of
+    /// `keep`.
     fn clipped(&self, keep: &[Crop]) -> Vec<u8> {
         let space = Space::<f32>::new(&self.config.centred().0.scene);
         let resolution = self.config.occupancy.resolution;

@@ -1,8 +1,8 @@
 //! Poses of photographs, for `train.cameras = "refine"`: training also moves each photograph's camera, by a rotation and a
-//! translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). Motions are trained beside the
-//! parameters, preconditioned ([`Preconditioner`]), and are no part of a model. Their mean over all cameras, in the axes of the
-//! world, stays zero, and so does the growth of the cameras' distances to their middle: the scene stays where it is, of the size
-//! that it has.
+//! translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). Motions are trained
+//! alongside the parameters, are preconditioned ([`Preconditioner`]), and are not part of a model. Their mean over all
+//! cameras, in the axes of the world, stays zero, and so does the growth of the cameras' distances to their centroid, so
+//! the scene keeps its place and its size.
 
 use crate::{
     Camera, Config, Intrinsics, Result, Space, ViewSet,
@@ -20,10 +20,10 @@ use crate::{
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Prefix of the names of its tensors in checkpoints.
+/// Prefix of the names of the poses' tensors in checkpoints.
 pub const PREFIX: &str = "poses.";
 
-/// The given pose of a photograph's camera, around the centre of the box.
+/// The given pose of a photograph's camera, relative to the centre of the box.
 #[derive(Clone, Debug, PartialEq)]
 struct Given {
     /// Name of the photograph.
@@ -34,8 +34,8 @@ struct Given {
 }
 
 impl Given {
-    /// The derivatives by a motion of the camera, at `motion`, for those by a translation of the world's axes and rotations
-    /// around the world's origin.
+    /// Converts the derivatives `by_world`, by a translation of the camera in the world's axes and rotations around the
+    /// world's origin, to derivatives by the camera's motion at `motion`.
     fn by_motion(&self, motion: &Motion, by_world: [f64; 6]) -> Motion {
         let Camera { rotation, origin, .. } = self.camera;
         let [force, torque] = [&by_world[..3], &by_world[3..]].map(DVec3::from_slice);
@@ -52,11 +52,11 @@ impl Given {
 pub struct Poses {
     /// One per photograph.
     given: Vec<Given>,
-    /// Camera as given, around the centre of the box, and photograph of each view.
+    /// One per view: the given camera, relative to the centre of the box, and the index of its photograph.
     views: Vec<(Camera, usize)>,
     corrections: Lagged<6>,
     intrinsics: SharedIntrinsics,
-    /// Whether the mean motion may be other than zero.
+    /// True if the mean motion may differ from zero.
     free: bool,
 }
 
@@ -65,9 +65,9 @@ pub struct Poses {
 pub struct Refined {
     /// Name of each training photograph, and the camera of its finest view, in the world.
     pub cameras: Vec<(String, Camera)>,
-    /// Given intrinsics of each camera at its finest scale, and what training has changed of them.
+    /// Given intrinsics of each camera at its finest scale, and their change by training.
     pub intrinsics: Vec<(Intrinsics, Change)>,
-    /// How far they are from the given ones.
+    /// How far the cameras are from the given ones.
     pub moved: Moved,
 }
 
@@ -111,7 +111,7 @@ pub struct Aligned {
     pub views: usize,
     /// Mean PSNR with the given poses, dB.
     pub given: f64,
-    /// The same with the poses that fit the left half best.
+    /// Mean PSNR with the poses that fit the left half best, dB.
     pub aligned: f64,
 }
 
@@ -124,7 +124,7 @@ impl std::fmt::Display for Aligned {
 }
 
 impl Poses {
-    /// The given poses of `views`, whose origins are shifted by −`centre`; none unless the configuration refines them.
+    /// The given poses of `views`, shifted to the centre of the box; `None` unless the configuration refines poses.
     pub fn new(config: &Config, views: &ViewSet) -> Option<Self> {
         if config.train.cameras == CameraPoses::Fixed {
             return None;
@@ -150,20 +150,21 @@ impl Poses {
         Some(Self { corrections: Lagged::new(given.len()), given, views: all, intrinsics, free: false })
     }
 
-    /// Leaves each camera free to move by itself, with its intrinsics as given: the scene stays where it is without them.
+    /// Lets each camera move by itself, with its intrinsics as given. The model does not change, so the scene keeps its
+    /// place.
     pub(crate) fn set_free(&mut self) {
         self.free = true;
     }
 
-    /// Learning rate at `progress` in [0, 1]; `schedule` is that of the networks, relative to its start. The rate is zero up to half of
-    /// the delay, and rises along a quarter of a sine up to its end.
+    /// Learning rate at `progress` in [0, 1]; `schedule` is the networks' learning rate relative to its start. The rate
+    /// is zero in the first half of `optimizer.camera_delay`, and rises along a quarter of a sine in the second half.
     pub fn rate(config: &OptimizerConfig, schedule: f64, progress: f64) -> f64 {
         let half = 0.5 * config.camera_delay;
         let risen = if progress < half { 0.0 } else { ((progress - half) / half.max(1e-9)).min(1.0) };
         config.camera_rate * schedule * (std::f64::consts::FRAC_PI_2 * risen).sin()
     }
 
-    /// The cameras of all views as they are now, around the centre of the box.
+    /// The current cameras of all views, relative to the centre of the box.
     pub fn cameras(&self) -> Vec<Camera> {
         let motions: Vec<Motion> = (0..self.given.len()).map(|i| self.motion(i)).collect();
         let changed = self.intrinsics.changed();
@@ -237,12 +238,12 @@ impl Poses {
         (0..self.given.len()).map(mean).collect()
     }
 
-    /// The present motion of camera `i`.
+    /// The current motion of camera `i`.
     fn motion(&self, i: usize) -> Motion {
         self.given[i].preconditioner.change(self.corrections.values[i].map(f64::from))
     }
 
-    /// Takes the result of the next step.
+    /// Queues the gradient of the next step's result.
     pub(crate) fn take(&mut self, step: &StepResult) {
         let by_world = self.by_world(step).into_iter();
         self.corrections.take(by_world.map(|by| by.map(|by| by as f32)).collect());
@@ -261,7 +262,8 @@ impl Poses {
     ) -> bool {
         let mut moved = false;
         while let Some((step, mut gradient)) = self.corrections.due(steps, in_transit) {
-            // What arrived is by the world: a checkpoint may let it arrive early, when the motions are others.
+            // Queued derivatives are in the world's axes: a checkpoint may let them arrive early, when the motions still
+            // differ.
             for (i, gradient) in gradient.iter_mut().enumerate() {
                 let given = &self.given[i];
                 let by_motion = given.by_motion(&self.motion(i), gradient.map(f64::from));
@@ -281,13 +283,13 @@ impl Poses {
         moved
     }
 
-    /// Adds everything that training needs to go on: tensors of shape [photographs, 6], and those of intrinsics.
+    /// Adds the tensors that training needs to resume, of shape [photographs, 6], and those of the intrinsics.
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
         self.corrections.to_tensors(PREFIX, file);
         self.intrinsics.to_tensors(file);
     }
 
-    /// The state in a checkpoint of a run on as many photographs; `name` is its place.
+    /// Reads the state from a checkpoint of a run on as many photographs; `name` names the checkpoint in errors.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self {
             corrections: self.corrections.restored(PREFIX, file, name)?,
@@ -297,8 +299,8 @@ impl Poses {
     }
 }
 
-/// Subtracts what all cameras have in common: the mean of their motions, in the axes of the world, and growth of their distances
-/// to their middle, which a smaller or larger scene would show as well.
+/// Subtracts the motion that all cameras share: the mean of their motions in the axes of the world, and the growth of
+/// their distances to their centroid, which is equivalent to scaling the scene.
 fn centre(given: &[Given], values: &mut [[f32; 6]]) {
     let count = given.len().max(1) as f64;
     let world = |(given, value): (&Given, &[f32; 6])| {
@@ -365,7 +367,7 @@ mod tests {
     fn configuration() -> Config {
         let mut config = Config::default();
         config.train.cameras = CameraPoses::Refine;
-        // Away from the origin of the world, where the poses' frame is another one.
+        // The box is away from the world's origin, so that the poses' frame differs from the world's.
         (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -0.5, -2.0], [2.0, 1.5, 1.0]);
         config
     }
@@ -400,13 +402,13 @@ mod tests {
         }
     }
 
-    /// The loss Σ aᵢ·(place of camera i) + bᵢ·(its view of a far point) has the derivatives that a force and a torque tell.
+    /// The loss pull·(a point fixed to camera i) has the derivatives that follow from a force and a torque.
     #[test]
     fn the_gradient_is_the_slope_by_each_motion() {
         let config = configuration();
         let mut poses = Poses::new(&config, &views()).unwrap();
         poses.set(&MOTIONS);
-        // A point fixed to each camera, pulled by a force: its motion tells the derivatives.
+        // A point fixed to each camera, in its axes, and the force that pulls it.
         let (local, pull) = (DVec3::new(0.3, -0.2, -2.0), DVec3::new(0.7, -1.1, 0.4));
         let loss = |poses: &Poses, i: usize| {
             let camera = poses.cameras()[i];
@@ -435,7 +437,7 @@ mod tests {
                     loss(&poses, i)
                 };
                 let slope = (at(h) - at(-h)) / (2.0 * h);
-                // Rotations are composed as if they were small: off by half of the angle, 2 degrees here.
+                // The gradient treats rotations as small: its error is half of the angle, which is 2 degrees here.
                 assert!((by - slope).abs() < 0.05, "camera {i}, {k}: {by}, not {slope}");
             }
         }

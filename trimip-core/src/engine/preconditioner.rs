@@ -1,10 +1,10 @@
-//! The preconditioner of a camera's parameters (CamP, Park et al. 2023, Eqs. 5 to 8): each of them moves the picture by as much as
-//! any other, and none undoes another.
+//! The preconditioner of a camera's parameters (CamP, Park et al. 2023, Eqs. 5 to 8): after it, every parameter moves the
+//! picture by the same amount, and no parameter undoes another.
 
 use crate::{Camera, Space, math::symmetric::inverse_root_and_root};
 use glam::DVec3;
 
-/// Places along each side of the picture, and along the ray of each of them, at which motion is measured.
+/// Number of places along each side of the picture, and along the ray of each place, at which motion is measured.
 const PLACES: usize = 8;
 
 /// Damping: multiple of the matrix's diagonal that is added (λ of CamP).
@@ -65,13 +65,13 @@ impl<const N: usize> Preconditioner<N> {
 }
 
 impl Preconditioner<6> {
-    /// The preconditioner of the pose of a camera that sees `space`: points are spread evenly over its picture, and along each
-    /// ray by the parameter of its steps.
+    /// The preconditioner of the pose of a camera that sees `space`. Points are spread evenly over its picture and, in
+    /// the parameter of the marching steps, along each ray.
     pub fn of_pose(camera: &Camera, space: &Space<f64>) -> Self {
         let mut rows = Vec::new();
         each_point(camera, space, |direction, point, radius| {
             let longer = f64::from(camera.intrinsics.width.max(camera.intrinsics.height));
-            // A pixel is the square whose disc of the same area the cone's sphere fits into.
+            // The sphere's disc has the area of a pixel, whose side is √π · `radius` there.
             let fraction = (std::f64::consts::PI.sqrt() * radius * longer).recip();
             for across in [direction.any_orthonormal_pair().0, direction.any_orthonormal_pair().1] {
                 // A point at x in the camera's axes moves by ω × x + τ against the camera.
@@ -117,7 +117,7 @@ fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, D
     }
 }
 
-/// Shortens parameters that move the picture too far.
+/// Shortens parameters that move the picture further than [`MOST`].
 pub(crate) fn shorten<const N: usize>(value: &mut [f32; N]) {
     let length = value.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt();
     if length > MOST {

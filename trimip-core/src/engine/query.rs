@@ -1,4 +1,4 @@
-//! Density and colour of a model at places of the world, without a picture: what a mesh or a volume is made of.
+//! Density and colour of a model at places of the world, without rendering a picture: for meshes and volumes.
 
 use crate::{
     Backend, Field, Query, Result, Space,
@@ -41,7 +41,7 @@ fn parts(queries: &[Query], space: &Space<f32>, centre: [f64; 3]) -> Parts {
 }
 
 impl<B: Backend> LoadedModel<B> {
-    /// As [`Viewer::query`](crate::Viewer::query); without `colors`, density alone.
+    /// As [`Viewer::query`](crate::Viewer::query); without `colors`, density only.
     pub(crate) fn evaluate(&mut self, queries: &[Query], colors: bool) -> Result<Vec<Radiance>> {
         let (centred, centre) = self.config.centred();
         let space = Space::<f32>::new(&centred.scene);
@@ -57,7 +57,7 @@ impl<B: Backend> LoadedModel<B> {
                     &mut out,
                     &|work, tile| {
                         let own = tile.start as usize..tile.end as usize;
-                        // A device writes buffers before the work that is recorded but not submitted.
+                        // A device executes writes of buffers before work that is recorded but not submitted.
                         backend.submit();
                         work.rays.place(backend, &rays[own.clone()]);
                         work.samples.place(backend, &intervals[own.clone()], &spheres[own]);
@@ -98,7 +98,7 @@ impl<B: Backend> LoadedModel<B> {
                 backend.submit();
                 work.rays.place(backend, &rays[own.clone()]);
                 work.samples.place(backend, &intervals[own.clone()], &spheres[own.clone()]);
-                // Densities are the map's own result, which is not used.
+                // `map_tiles` returns the densities, which are not used.
                 stages.density(parameters, work);
                 let rows = backend.read(&work.features);
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);

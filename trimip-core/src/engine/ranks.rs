@@ -15,7 +15,7 @@ impl Rank {
     /// All of the work.
     pub const ONLY: Self = Self { id: 0, size: 1 };
 
-    /// True if item `index` of work that is dealt out in turn belongs to this rank.
+    /// True if item `index` of work that is dealt out round-robin belongs to this rank.
     pub fn has(self, index: usize) -> bool {
         index % self.size == self.id
     }
@@ -27,8 +27,8 @@ impl Rank {
     }
 }
 
-/// The error of a message between ranks that is not what this rank reads. It is of the kind of a rank that is gone: what other
-/// ranks computed is not to be had.
+/// The error for an unexpected message of another rank. Its kind is that of a lost rank, because the results of the other
+/// ranks are unavailable in both cases.
 pub fn fault(what: impl std::fmt::Display) -> Error {
     Error::device(format!(
         "message of another rank: {what}; start the same build of the program on every rank"
@@ -65,19 +65,19 @@ pub trait Ranks: Send + Sync {
     /// When that rank is gone.
     fn send(&self, to: usize, bytes: &[u8]) -> Result<()>;
 
-    /// Waits for a message of any rank; returns its sender too.
+    /// Waits for a message of any rank; returns its sender and its bytes.
     ///
     /// # Errors
     /// When another rank is gone.
     fn receive(&self) -> Result<(usize, Vec<u8>)>;
 
-    /// A message of any rank that has come; returns its sender too.
+    /// Returns a message that has arrived from any rank, with its sender; `None` if there is none.
     ///
     /// # Errors
     /// When another rank is gone.
     fn try_receive(&self) -> Result<Option<(usize, Vec<u8>)>>;
 
-    /// Told after a step: the bytes of the part of the gradient that the step touched.
+    /// Records, after a step, the size in bytes of the part of the gradient that the step touched.
     fn record_traffic(&self, touched: u64) {
         let _ = touched;
     }

@@ -7,7 +7,7 @@ use crate::{
     scene::cones::{Division, PixelPattern},
 };
 
-/// The scales of a training set, and the schedules by which they fraction the pixels of a step.
+/// The scales of a training set, and the schedules by which they share the pixels of a step.
 #[derive(Clone, Debug)]
 pub struct ScaleSampling {
     scales: Vec<Scale>,
@@ -17,13 +17,13 @@ pub struct ScaleSampling {
 }
 
 impl ScaleSampling {
-    /// The fractions of the scales of `views`. Both are in the coordinates of the configuration's box.
+    /// The sampling of the scales of `views`. They and the configuration's box are in the same coordinates.
     pub fn new(config: &Config, views: &ViewSet) -> Self {
         let patterns = Division::new(config).patterns(views);
         Self { scales: views.scales.clone(), patterns, train: config.train.clone() }
     }
 
-    /// The balance at `progress` in [0, 1].
+    /// The weights of the scales at `progress` in [0, 1].
     pub fn at(&self, progress: f64) -> ScaleWeights {
         let most = self.train.cones.at(progress) as u32;
         let patterns = self.patterns.iter().map(|pattern| pattern.within(most)).collect();
@@ -47,8 +47,9 @@ pub struct ScaleWeights {
 }
 
 impl ScaleWeights {
-    /// The balance `balance` in [0, 1] over `scales`, fine to coarse, from number `finest` on, whose pixels have these cones. A
-    /// scale without pixels gets none.
+    /// The weights of `scales`, fine to coarse, at balance `balance` in [0, 1]; `patterns` are the cones of a pixel of
+    /// each. Scales without pixels and those before number `finest` get none, except that the coarsest one with pixels
+    /// stays in use.
     pub fn new(scales: &[Scale], balance: f64, finest: usize, patterns: Vec<PixelPattern>) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
         let coarsest = scales.iter().rposition(|scale| !scale.pixels.is_empty()).unwrap_or(0);

@@ -31,7 +31,7 @@ pub trait Viewer: Send {
     /// The device behind the backend's name.
     fn device_name(&self) -> String;
 
-    /// The settings that the device cannot honour as written, one line each. A program shows them.
+    /// The settings that the device cannot honour as written, one line each, to be shown by the program.
     fn notes(&self) -> Vec<String> {
         Vec::new()
     }
@@ -77,7 +77,7 @@ pub trait Viewer: Send {
         Err(Error::run("this viewer has no features"))
     }
 
-    /// Number of samples in each pixel whose colour is evaluated, those of all its cones together. `watch` is that of
+    /// Number of kept samples of each pixel, summed over its cones. `watch` is as in
     /// [`render_watched`](Self::render_watched).
     ///
     /// # Errors
@@ -94,7 +94,7 @@ pub trait Viewer: Send {
     /// Renders only the cells of the occupancy grid whose centre is in every part of `keep`; all cells if it is empty.
     ///
     /// # Errors
-    /// When this viewer cannot leave cells out, as one in training.
+    /// When this viewer cannot leave cells out, such as one in training.
     fn clip(&mut self, keep: &[Crop]) -> Result<()> {
         match keep {
             [] => Ok(()),
@@ -110,12 +110,12 @@ pub trait Session: Viewer {
     /// # Errors
     /// When the loss of a step is not finite, or the device fails.
     ///
-    /// After a loss that is not finite no checkpoint holds an update by its gradient. A backend without lag
-    /// ([`Backend::LAG`](crate::Backend::LAG) = 0: `"cpu"`) checks the loss before the update: the parameters and moments are
-    /// those before the step, but for what [grows](crate::field::encoders::Definition::stage) at its progress. A backend that runs ahead
-    /// (`"wgpu"`: 2 steps) tells so that many steps later, and the updates up to then are done. From then on `step`,
-    /// [`checkpoint`](Self::checkpoint) and [`finish`](Self::finish) return the same error, until
-    /// [`restore`](Self::restore) replaces the state.
+    /// After a loss that is not finite, no checkpoint holds an update by its gradient. A backend without lag
+    /// ([`Backend::LAG`](crate::Backend::LAG) = 0: `"cpu"`) checks the loss before the update: parameters and moments are
+    /// those before the step, except for parameters that [grow](crate::field::encoders::Definition::stage) at its
+    /// progress. A backend that runs ahead (`"wgpu"`: 2 steps) reports the error that many steps later, after the updates
+    /// in between. From then on `step`, [`checkpoint`](Self::checkpoint) and [`finish`](Self::finish) return the same
+    /// error, until [`restore`](Self::restore) replaces the state.
     fn step(&mut self, progress: f64) -> Result<StepReport>;
 
     /// Everything that rendering needs.
@@ -124,7 +124,7 @@ pub trait Session: Viewer {
     /// When the device failed.
     fn model(&mut self) -> Result<Model>;
 
-    /// The model as its file will hold it. This ends the training: the session renders this model from now on.
+    /// The model as its file will hold it. This ends the training: afterwards the session renders this model.
     ///
     /// # Errors
     /// When the device failed, or an earlier step was not finite, see [`step`](Self::step).
@@ -136,7 +136,7 @@ pub trait Session: Viewer {
     /// When the device failed, or a step that is in the parameters was not finite, see [`step`](Self::step).
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 
-    /// Takes part in the checkpoint of rank 0, without one of its own.
+    /// Takes part in the checkpoint of rank 0, without creating one on this rank.
     ///
     /// # Errors
     /// As [`checkpoint`](Self::checkpoint).
@@ -144,12 +144,13 @@ pub trait Session: Viewer {
         self.checkpoint().map(drop)
     }
 
-    /// The poses that training has found; none unless it refines them.
+    /// The poses that training has found; `None` unless it refines poses.
     fn refined(&self) -> Option<Refined> {
         None
     }
 
-    /// The cameras of other photographs, moved so that the model as it is now shows them best. The model stays as it is.
+    /// Returns the cameras of the photographs `views`, moved so that the current model shows them best. The model does
+    /// not change.
     ///
     /// # Errors
     /// When the photographs have no pixels, the device fails, or this session cannot align.

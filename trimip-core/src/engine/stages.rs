@@ -1,7 +1,8 @@
-//! The traits of the stages. Each stage processes a whole tile of rays, from one batch to the next, and knows nothing of
-//! the other stages. Its first argument is the [`Tile`] that it works on, or its stream alone: where the work is issued (a
-//! worker's scratch memory on a CPU, a command encoder on a GPU). No stage returns a value that lives on the device: a GPU
-//! records a whole step and reads nothing back. What the host decides for a stage is its [`policy`](crate::engine::policy).
+//! The traits of the stages. Each stage maps one batch of a whole tile of rays to the next, independently of the other
+//! stages. Its first argument is the [`Tile`] that it works on, or only the stream on which the work is issued (a
+//! worker's scratch memory on a CPU, a command encoder on a GPU). No stage returns a value that lives on the device: a
+//! GPU records a whole step and reads nothing back. The host's decisions for a stage are its
+//! [`policy`](crate::engine::policy).
 
 use crate::{
     Backend, Camera, Pixel, Result,
@@ -36,12 +37,12 @@ pub struct Stages<B: Backend> {
     pub occupancy: B::Occupancy,
     /// Maps pixels to the loss.
     pub loss: B::Loss,
-    /// Maps gradients of features to those of poses; none unless training refines them.
+    /// Maps gradients of features to those of poses; `None` unless training refines poses.
     pub poses: Option<B::Poses>,
 }
 
 impl<B: Backend> Stages<B> {
-    /// Encodes the samples of a workspace and evaluates their density.
+    /// Encodes the samples of a workspace and evaluates their density. `parameters` is flat.
     pub fn density(&self, parameters: &B::Buffer<f32>, workspace: &mut Workspace<B>) {
         let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, .. } =
             workspace;
@@ -50,8 +51,8 @@ impl<B: Backend> Stages<B> {
         self.field.density(tile, features, field_context, radiance);
     }
 
-    /// Sums the partial gradients into one gradient of all parameters, not yet divided by the sum of the weights, and empties
-    /// the partial gradients.
+    /// Sums the partial gradients into one gradient of all parameters, not yet divided by the sum of the weights, and
+    /// empties the partial gradients. `parameters` and `gradient` are flat.
     pub fn reduce(
         &mut self,
         partials: &mut [PartialGradients<B>],
@@ -64,7 +65,7 @@ impl<B: Backend> Stages<B> {
 }
 
 /// Maps samples to features. A sample is a sphere on the axis of a cone. The encoder also gets the sample's ray and
-/// interval, which is the full geometry; it may use a Gaussian along the cone instead, or several points inside it.
+/// interval, which complete its geometry; it may use a Gaussian along the cone instead, or several points inside it.
 pub trait Encoder<B: Backend>: Send + Sync {
     /// Feature gradients of some tiles, with the places they belong to.
     type Gradient: Send;
@@ -76,14 +77,14 @@ pub trait Encoder<B: Backend>: Send + Sync {
     /// The parameters change before this call, and a refresh follows it.
     fn grow(&mut self, stage: u32);
 
-    /// Rebuilds data derived from the parameters, such as mip levels. Called once per change of the parameters.
+    /// Rebuilds data derived from the parameters (flat), such as mip levels. Called once per change of the parameters.
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
 
     /// Encodes every sample. `features` becomes [samples, [`stride`](crate::field::encoders::stride)]. `context` becomes
-    /// [samples, [`context`](crate::field::encoders::Definition::context)]: what the backward pass needs of each sample.
+    /// [samples, [`context`](crate::field::encoders::Definition::context)]: the values that the backward pass needs.
     fn forward(&self, tile: &mut Tile<'_, B>, context: &mut B::Buffer<f32>, features: &mut B::Buffer<f32>);
 
-    /// Keeps the rows of context and features that survived pruning and drops the others.
+    /// Keeps the rows `kept` (ascending) of context and features, which survived pruning, and drops the others.
     fn keep(
         &self,
         stream: &mut B::Stream,
@@ -92,7 +93,8 @@ pub trait Encoder<B: Backend>: Send + Sync {
         features: &mut B::Buffer<f32>,
     );
 
-    /// Adds the gradient of the tile's features to the partial gradients.
+    /// Adds the gradient of the tile's features, [samples, stride], to the partial gradients. `context` is the output of
+    /// [`forward`](Self::forward).
     fn backward(
         &self,
         tile: &mut Tile<'_, B>,
@@ -101,8 +103,9 @@ pub trait Encoder<B: Backend>: Send + Sync {
         gradient: &mut Self::Gradient,
     );
 
-    /// Sums all partial gradients in a fixed order, overwrites the encoder's part of `parameter_gradient` with the result and
-    /// empties the partial gradients. Called once per step, before the parameters are updated.
+    /// Sums all partial gradients in a fixed order, overwrites the encoder's part of `parameter_gradient` with the result
+    /// and empties the partial gradients. `parameters` and `parameter_gradient` are flat. Called once per step, before
+    /// the parameters are updated.
     fn reduce(
         &mut self,
         partials: &mut [PartialGradients<B>],
@@ -111,7 +114,7 @@ pub trait Encoder<B: Backend>: Send + Sync {
     );
 }
 
-/// Maps features to density, then to colour (two small networks). Density is evaluated apart from colour, so that
+/// Maps features to density, then to colour (two small networks). Density is evaluated separately from colour, so that
 /// occupancy and pruning never pay for colour.
 pub trait Field<B: Backend>: Send + Sync {
     /// Activations, kept from forward to backward.
@@ -125,10 +128,11 @@ pub trait Field<B: Backend>: Send + Sync {
     /// Creates an empty gradient.
     fn gradient(&self) -> Self::Gradient;
 
-    /// Repacks the weights. Called once per change of the parameters.
+    /// Repacks the weights of the parameters (flat). Called once per change of the parameters.
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
 
-    /// Evaluates the density of every sample; stores geometry features and activations on the context.
+    /// Evaluates the density of every sample, given features, [samples, stride]; `radiance` gets one value per sample.
+    /// Stores geometry features and activations on the context.
     fn density(
         &self,
         tile: &mut Tile<'_, B>,
@@ -137,7 +141,7 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Keeps the rows of context and radiance that survived pruning and drops the others.
+    /// Keeps the rows `kept` (ascending) of context and radiance, which survived pruning, and drops the others.
     fn keep(
         &self,
         stream: &mut B::Stream,
@@ -146,8 +150,9 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Evaluates the colour of every kept sample that has at least the weight `least` in its ray; the others are black, and
-    /// nothing flows back through their colours. With 0 all samples have a colour, and their segments are not read.
+    /// Evaluates the colour of every kept sample whose weight in its ray is at least `least`, and writes it to
+    /// `radiance`, which has one value per sample. The others are black, and nothing flows back through their colours.
+    /// With 0 all samples have a colour, and their segments are not read.
     fn color(
         &self,
         tile: &mut Tile<'_, B>,
@@ -156,11 +161,11 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Draws samples by the norms of the gradients of their logits: the derivatives by density and colour times the slopes of
-    /// their activations. Marks them, and divides their gradients by their probabilities.
+    /// Draws samples by the norms of the gradients of their logits: the derivatives by density and colour times the
+    /// slopes of their activations. Marks the drawn samples, and divides their gradients by their probabilities.
     ///
-    /// Along a ray, samples are drawn systematically: one is drawn wherever the sum of the probabilities, which begins at a random
-    /// number in [0, 1), reaches a whole number. It is the number [`SampleDraw::first`] of the ray.
+    /// Along a ray, samples are drawn systematically: one is drawn wherever the sum of the probabilities reaches a whole
+    /// number. The sum begins at a random number in [0, 1), the ray's [`SampleDraw::first`].
     fn draw(
         &self,
         tile: &mut Tile<'_, B>,
@@ -169,7 +174,8 @@ pub trait Field<B: Backend>: Send + Sync {
         arrays: FieldDraw<'_, B>,
     );
 
-    /// Keeps the rows of context, radiance and gradients of drawn samples, as [`keep`](Self::keep) does, those of colour included.
+    /// Keeps the rows `drawn` (ascending) of context, radiance and its gradients, as [`keep`](Self::keep) does, including
+    /// the context of colour.
     fn keep_drawn(
         &self,
         stream: &mut B::Stream,
@@ -179,7 +185,8 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance_gradients: &mut B::Buffer<Radiance>,
     );
 
-    /// Maps gradients of density and colour to gradients of features; adds to the weight gradients.
+    /// Maps gradients of density and colour to gradients of features; adds to the weight gradients. [`FieldBackward`]
+    /// gives the shapes.
     fn backward(
         &self,
         tile: &mut Tile<'_, B>,
@@ -188,8 +195,8 @@ pub trait Field<B: Backend>: Send + Sync {
         gradient: &mut Self::Gradient,
     );
 
-    /// Sums all partial gradients in order, overwrites the networks' part of `parameter_gradient` with the result and empties
-    /// the partial gradients.
+    /// Sums all partial gradients in order, overwrites the networks' part of `parameter_gradient` (flat) with the result
+    /// and empties the partial gradients.
     fn reduce(&mut self, partials: &mut [PartialGradients<B>], parameter_gradient: &mut B::Buffer<f32>);
 }
 
@@ -202,7 +209,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
     /// The policy, mutable.
     fn policy_mut(&mut self) -> &mut RendererPolicy;
 
-    /// Sets what chooses the samples of pictures; `None` for volume rendering.
+    /// Sets the guide that chooses the samples of pictures; `None` for volume rendering.
     ///
     /// # Errors
     /// When the device cannot hold it.
@@ -227,8 +234,9 @@ pub trait Renderer<B: Backend>: Send + Sync {
         self.policy().color_weight()
     }
 
-    /// Places samples in occupied cells. `jitter` is the number of the training step; it selects the random offset, a
-    /// fraction of a marching step, by which each ray's start is moved. `None` disables the offset.
+    /// Places samples in occupied cells: `samples` gets one segment per ray. `jitter` is the number of the training step;
+    /// it selects the random offset, a fraction of a marching step, by which each ray's start is moved. `None` disables
+    /// the offset.
     fn march(
         &self,
         stream: &mut B::Stream,
@@ -238,7 +246,9 @@ pub trait Renderer<B: Backend>: Send + Sync {
         samples: &mut Samples<B>,
     );
 
-    /// Drops samples behind the least transmittance; `kept` receives the rows that remain.
+    /// Drops samples behind the least transmittance, and merges faint samples with the next sample of their ray
+    /// ([`Pruning`](crate::math::compositing::Pruning)). `radiance` has one value per marched sample; `kept` receives the
+    /// rows that remain, ascending.
     fn prune(
         &self,
         stream: &mut B::Stream,
@@ -247,8 +257,9 @@ pub trait Renderer<B: Backend>: Send + Sync {
         kept: &mut B::Buffer<u32>,
     );
 
-    /// Lists the rows of the samples that [`Field::draw`] marked in `drawn`, keeps these samples and drops the others. Their
-    /// number replaces that of the kept samples in [`StepSums::drawn`](crate::engine::batch::StepSums).
+    /// Lists in `drawn` the rows of the samples that [`Field::draw`] marked, keeps these samples and drops the others.
+    /// `marks` has one value per sample. The number of drawn samples replaces that of the kept ones in
+    /// [`StepSums::drawn`](crate::engine::batch::StepSums).
     fn keep_drawn(
         &self,
         stream: &mut B::Stream,
@@ -258,9 +269,10 @@ pub trait Renderer<B: Backend>: Send + Sync {
         sums: &mut B::Sums,
     );
 
-    /// Takes rays to the density of their visible samples, ready for colour. A renderer may walk each ray front to
-    /// back in pieces and stop where it is opaque, provided that it keeps the same samples as [`evaluate_visible_samples`]. It may
-    /// also place samples by a rule of its own.
+    /// Maps the rays of a workspace to the density of their visible samples, ready for colour. `parameters` is flat,
+    /// `jitter` as in [`march`](Self::march). A renderer may walk each ray front to back in pieces and stop where it is
+    /// opaque, provided that it keeps the same samples as [`evaluate_visible_samples`]. It may also place samples by a
+    /// rule of its own.
     fn visibility_pass(
         &self,
         stages: &Stages<B>,
@@ -272,7 +284,8 @@ pub trait Renderer<B: Backend>: Send + Sync {
     }
 
     /// Composites each cone on the background of its pixel's target, or on the configured background if there are no
-    /// targets. `cones` gets one value per ray, `pixels` one per group, the mean of its cones.
+    /// targets. `radiance` has one value per sample. `cones` gets one value per ray, `pixels` one per group, the mean of
+    /// its cones.
     fn composite(
         &self,
         tile: &mut Tile<'_, B>,
@@ -281,8 +294,8 @@ pub trait Renderer<B: Backend>: Send + Sync {
         pixels: &mut B::Buffer<Pixel>,
     );
 
-    /// Maps gradients of pixels to gradients of density and colour. `cones` is the output of
-    /// [`composite`](Self::composite).
+    /// Maps gradients of pixels, [r, g, b, opacity] of each, to gradients of density and colour, one per sample like
+    /// `radiance`. `cones` is the output of [`composite`](Self::composite).
     fn backward(
         &self,
         tile: &mut Tile<'_, B>,
@@ -295,7 +308,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
 
 /// Maps gradients to new parameters (AdamW, Loshchilov and Hutter 2019).
 pub trait Optimizer<B: Backend>: Send + Sync {
-    /// The rules by which parameters are updated.
+    /// The rules of the updates.
     fn policy(&self) -> &OptimizerPolicy;
 
     /// The policy, mutable.
@@ -315,9 +328,9 @@ pub trait Optimizer<B: Backend>: Send + Sync {
     /// The moments, mutable, to restore a checkpoint.
     fn moments_mut(&mut self) -> [&mut B::Buffer<f32>; 2];
 
-    /// Number of gradients that were not finite or whose square overflows f32; their parameters were not updated,
-    /// because a second moment that is infinite once would never let its parameter move again. The number includes
-    /// terms of gradients that a device left out because of their size.
+    /// Number of gradients that were not finite or whose square overflows f32. Their parameters were not updated, because
+    /// a second moment that is infinite once would never let its parameter move again. The number includes terms of
+    /// gradients that a device left out because of their size.
     fn non_finite(&self) -> u64;
 }
 
@@ -339,11 +352,12 @@ pub trait Sampler<B: Backend>: Send + Sync {
         self.policy().scale_weights()
     }
 
-    /// Replaces the cameras of the training views, one each. Does nothing without views.
+    /// Replaces the cameras of the training views, one per view, relative to the centre of the box. Does nothing without
+    /// views.
     fn set_cameras(&mut self, cameras: &[Camera]);
 
-    /// Generates the cones of the pixels `range` of a training step. `allocation` tells which scale each pixel belongs to;
-    /// within a scale, pixels are drawn uniformly, or by the error map.
+    /// Generates the cones, groups and targets of the pixels `range` of a training step. `allocation` assigns a scale to
+    /// each pixel; within a scale, pixels are drawn uniformly, or by the error map.
     fn training_rays(
         &self,
         stream: &mut B::Stream,
@@ -353,8 +367,8 @@ pub trait Sampler<B: Backend>: Send + Sync {
         rays: &mut Rays<B>,
     );
 
-    /// Adds the errors of the pixels `range` of a training step to their cells of the error map, if there is one. `rays` are theirs, and
-    /// `pixel_gradients` what [`Loss::evaluate_pixels`] wrote.
+    /// Adds the errors of the pixels `range` of a training step to their cells of the error map, if there is one. `rays`
+    /// are the rays of these pixels, and `pixel_gradients`, one per pixel, the output of [`Loss::evaluate_pixels`].
     fn observe(
         &self,
         stream: &mut B::Stream,
@@ -364,13 +378,14 @@ pub trait Sampler<B: Backend>: Send + Sync {
         pixel_gradients: &B::Buffer<[f32; 4]>,
     );
 
-    /// Returns what [`observe`](Self::observe) has added up, one per cell, and empties it. Waits for the device.
+    /// Returns and clears the sums of [`observe`](Self::observe), one per cell. Waits for the device.
     fn take_errors(&mut self) -> Vec<CellErrors>;
 
-    /// Draws the pixels of later steps by another error map of the same photographs.
+    /// Sets another error map of the same photographs, by which the pixels of later steps are drawn.
     fn set_error_map(&mut self, map: ErrorMap);
 
-    /// Generates the cones of the pixels `range` of a camera, row by row.
+    /// Generates the cones of the pixels `range` of a camera, row by row, without targets. The camera is relative to the
+    /// centre of the box.
     fn camera_rays(&self, stream: &mut B::Stream, camera: &Camera, range: Range<u32>, rays: &mut Rays<B>);
 }
 
@@ -379,8 +394,8 @@ pub trait Occupancy<B: Backend>: Send + Sync {
     /// Selects the cells to refresh at `step`; returns their number.
     fn select(&mut self, step: u64) -> u32;
 
-    /// Generates one random point in each of the selected cells `range`, with a radius that fits the cell. Each point
-    /// is the only sample of its own ray, which has a random direction.
+    /// Generates one random point in each of the selected cells `range`, with a radius that fits the cell. Each point is
+    /// the only sample of its own ray, which has a random direction: `rays` and `samples` get one value per cell.
     fn probes(
         &self,
         stream: &mut B::Stream,
@@ -390,13 +405,14 @@ pub trait Occupancy<B: Backend>: Send + Sync {
         samples: &mut Samples<B>,
     );
 
-    /// Takes the densities of all selected cells and updates the bits.
+    /// Updates densities and bits by the densities in `radiance`, one per selected cell, in order.
     fn update(&mut self, radiance: &B::Buffer<Radiance>);
 
     /// Fraction of cells that are occupied.
     fn occupied(&self) -> f64;
 
-    /// Running maximum of density·step per cell.
+    /// Running maximum of density·step per cell, in cell order; [`OUTSIDE`](crate::geometry::occupancy::OUTSIDE) for
+    /// cells that cannot be occupied.
     fn densities(&self) -> Vec<f32>;
 
     /// One bit per cell, in cell order, lowest bit first.
@@ -418,19 +434,19 @@ pub struct RenderedTile<'a, B: Backend> {
     pub pixels: &'a B::Buffer<Pixel>,
 }
 
-/// Maps pixels and the weights of their samples to the loss: the sum of the registered terms ([`losses`](crate::field::losses))
-/// that the configuration puts to work.
+/// Maps pixels and the weights of their samples to the loss: the sum of the registered terms
+/// ([`losses`](crate::field::losses)) that the configuration enables.
 pub trait Loss<B: Backend>: Send + Sync {
-    /// Sets the gains (RGB) of each photograph, by the numbers in [`Rays::photographs`], with which an adjustment changes
-    /// the colours that are compared. Without any, as at first, rendered colours are compared as they are.
+    /// Sets the gains (RGB) of each photograph, by the numbers in [`Rays::photographs`]. An adjustment applies them to
+    /// rendered colours before the comparison. Initially there are none, and rendered colours are compared as they are.
     fn set_gains(&mut self, gains: &[[f32; 3]]);
 
-    /// Applies the schedules of the terms' weights at `progress` in [0, 1]. At first, progress is 0.
+    /// Applies the schedules of the terms' weights at `progress` in [0, 1]; initially it is 0.
     fn set_progress(&mut self, progress: f64);
 
-    /// Evaluates the photometric term and the terms of pixels: writes their gradient with respect to each pixel, weighted
-    /// by area but not yet divided by the sum of the weights, and adds to the sums. With gains it also adds the
-    /// derivatives by their logarithms.
+    /// Evaluates the photometric term and the terms of pixels. Writes their gradient with respect to each pixel's [r, g,
+    /// b, opacity], weighted by area but not yet divided by the sum of the weights, and adds to the sums. With gains it
+    /// also adds the derivatives by the log-gains.
     fn evaluate_pixels(
         &self,
         stream: &mut B::Stream,
@@ -440,8 +456,8 @@ pub trait Loss<B: Backend>: Send + Sync {
     );
 
     /// Adds the terms of rays (the mean over the cones of a pixel, weighted by area) to the sums, and their gradients to
-    /// the densities' in `radiance_gradients`, which [`Renderer::backward`] wrote. Called once after
-    /// [`evaluate_pixels`](Self::evaluate_pixels).
+    /// the densities' in `radiance_gradients`, which has one value per sample and was written by [`Renderer::backward`].
+    /// Called once after [`evaluate_pixels`](Self::evaluate_pixels).
     fn evaluate_rays(
         &self,
         stream: &mut B::Stream,
@@ -453,16 +469,18 @@ pub trait Loss<B: Backend>: Send + Sync {
 
 /// Maps gradients of features to derivatives of the loss by motions of cameras.
 ///
-/// Each ray is moved by its own radius across its direction, to a random side and to the opposite one, with all of its samples.
-/// The difference of their features, times the gradient of the features, is the mean slope of the loss over the sample's width.
-/// A random direction for each ray and step sees one of two dimensions; the other one has its turn in other steps, so the slope
-/// counts twice. Motion along a ray changes no picture. What is left out: the density and colour that follow from another direction,
-/// radius or placement of samples.
+/// Each ray is displaced, with all of its samples, by its own radius across its direction: to a random side and to the
+/// opposite one. The difference of a sample's features on both sides, times the gradient of the features and divided by
+/// the sample's width, is the mean slope of the loss over this width. A random direction covers one of the two dimensions
+/// across a ray; other steps cover the other one, so the slope counts twice. Motion along a ray changes no picture.
+/// Changes of density and colour by another direction, radius or placement of samples are neglected.
 pub trait PoseGradients<B: Backend>: Send + Sync {
-    /// Moves all rays of a tile and their samples by `side` (1 or −1) times their radius along the random direction of each ray.
+    /// Moves all rays of a tile and their samples by `side` (1 or −1) times their radius along the random direction of
+    /// each ray. `displaced.rays` gets one ray per cone, `displaced.spheres` one sphere per sample.
     fn displace(&self, tile: &mut Tile<'_, B>, step: u64, side: f32, displaced: &mut Displaced<B>);
 
-    /// Writes Σ feature · gradient of each displaced sample to `displaced.slopes` for `side` = 1, and subtracts it for `side` = −1.
+    /// Writes Σ feature · gradient of each displaced sample to `displaced.slopes` for `side` = 1, and subtracts it for
+    /// `side` = −1. `feature_gradients` is [samples, stride].
     fn compare(
         &self,
         tile: &mut Tile<'_, B>,
@@ -472,6 +490,7 @@ pub trait PoseGradients<B: Backend>: Send + Sync {
     );
 
     /// Adds the derivatives by the photographs' cameras
-    /// ([`StepResult::cameras`](crate::engine::batch::StepResult::cameras)) to the sums.
+    /// ([`StepResult::cameras`](crate::engine::batch::StepResult::cameras)) to the sums. `slopes` has one value per
+    /// sample, see [`compare`](Self::compare).
     fn add(&self, tile: &mut Tile<'_, B>, step: u64, slopes: &B::Buffer<f32>, sums: &mut B::Sums);
 }

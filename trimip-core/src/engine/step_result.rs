@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 /// Losses and counts of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepSums {
-    /// Σ weight · loss: the photometric term averaged over channels, plus the other terms at work
+    /// Σ weight · loss: the photometric term averaged over channels, plus the other enabled terms
     /// ([`losses`](crate::field::losses)).
     pub loss: f64,
-    /// Σ weight over the rays that the loss is averaged over.
+    /// Σ weight over the pixels that the loss is averaged over.
     pub weight: f64,
     /// Σ importance · squared error over channels.
     pub squared_error: f64,
@@ -40,13 +40,14 @@ impl StepSums {
     }
 }
 
-/// Largest number of steps whose sums are not read back yet.
+/// Largest number of steps whose sums have not been read back.
 pub const MOST_PENDING: usize = 2;
 
-/// Derivatives of [`StepSums::loss`] by the camera of a photograph, four vectors along the axes of the world. Let g be the
-/// derivative by a motion of a ray's direction across it, c the cosine of its angle to the optical axis, and τ the tangent:
+/// Derivatives of [`StepSums::loss`] by the camera of a photograph: four vectors along the axes of the world. They are
 /// the derivatives by a translation of the camera, by rotations around the axes (the origin fixed), Σ c·g, and Σ τ²·c·g.
-/// The last two tell the derivatives by intrinsics ([`intrinsics`](crate::engine::intrinsics)).
+/// Here g is the derivative by a motion of a ray's direction across it, and c and τ are cosine and tangent of its angle
+/// to the optical axis. The last two vectors determine the derivatives by intrinsics
+/// ([`intrinsics`](crate::engine::intrinsics)).
 pub type CameraSums = [f64; 12];
 
 /// The results of a training step on the host.
@@ -71,7 +72,7 @@ impl StepResult {
         sums.chain(counts).chain([self.exposures.len() as u64]).chain(by_photographs).collect()
     }
 
-    /// The result of these [`to_words`](Self::to_words).
+    /// The result whose [`to_words`](Self::to_words) are `words`.
     ///
     /// # Errors
     /// When their number is not 9, three for each exposure and twelve for each camera.
@@ -110,7 +111,7 @@ fn rows<const N: usize>(words: &[u64]) -> Option<Vec<[f64; N]>> {
     rest.is_empty().then(|| rows.iter().map(|row| row.map(f64::from_bits)).collect())
 }
 
-/// Adds rows to rows; those that are missing are zero.
+/// Adds rows to rows; missing rows count as zero.
 fn add_rows<const N: usize>(own: &mut Vec<[f64; N]>, other: &[[f64; N]]) {
     own.resize(own.len().max(other.len()), [0.0; N]);
     own.as_flattened_mut().iter_mut().zip(other.as_flattened()).for_each(|(own, other)| *own += other);

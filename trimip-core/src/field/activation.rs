@@ -8,7 +8,7 @@ use crate::{
     math::scalar::Real,
 };
 
-/// Largest argument of the exponential. The density stays finite, and a sample of it is opaque at any length.
+/// Largest argument of the exponential. The density stays finite, and a sample of this density is opaque at any length.
 pub const LARGEST_ARGUMENT: f64 = 60.0;
 
 /// Map from a density logit to a density per world unit (`field.density`).
@@ -41,8 +41,8 @@ impl Density {
         R::from_f64(self.scale) * density
     }
 
-    /// Derivative of the density used in training. Of the exponential it is exp(clamp(x, −15, 15)) (code): the clamp keeps
-    /// the gradient of very opaque and very empty samples finite and above zero.
+    /// Derivative of the density used in training. For the exponential it is exp(clamp(x, −15, 15)) (code): the clamp
+    /// keeps the gradient of very opaque and very empty samples finite and above zero.
     #[inline(always)]
     pub fn derivative<R: Real>(&self, logit: R) -> R {
         let (x, limit) = (logit - R::from_f64(self.shift), R::from_f64(15.0));
@@ -59,9 +59,9 @@ impl Density {
 /// Map from the logit of a colour channel to its value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Color {
-    /// The logistic function, of the colour network's outputs.
+    /// The logistic function, for the colour network's outputs.
     Sigmoid,
-    /// max(0, logit + ½), of a field without networks (Plenoxels).
+    /// max(0, logit + ½), for a field without networks (Plenoxels).
     Clamped,
 }
 

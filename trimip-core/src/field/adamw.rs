@@ -71,7 +71,7 @@ pub fn learning_rate(config: &Config, progress: f64) -> f64 {
     rate_since(&config.optimizer, progress, since)
 }
 
-/// The same, for an exponential schedule that started anew at `since`.
+/// As [`learning_rate`], for an exponential schedule that restarted at `since`.
 fn rate_since(config: &OptimizerConfig, progress: f64, since: f64) -> f64 {
     config.learning_rate
         * match config.schedule {

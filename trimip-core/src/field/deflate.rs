@@ -21,7 +21,7 @@ pub(crate) fn deflated(bytes: &[u8], effort: Compression) -> Result<Tensor> {
 /// The `expected` bytes of a compressed tensor. No more than one byte beyond them is ever decompressed.
 ///
 /// # Errors
-/// What is wrong with the tensor, to be said after its name.
+/// A description of the fault, to be put after the tensor's name.
 pub(crate) fn inflated(packed: &Tensor, expected: usize) -> std::result::Result<Vec<u8>, String> {
     let Values::U8(packed) = &packed.values else { return Err("is not of bytes".into()) };
     let mut bytes = Vec::new();

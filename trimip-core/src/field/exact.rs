@@ -1,4 +1,4 @@
-//! A model in f64, one ray at a time: the reference for errors of rendering. It is slow and takes no shortcuts except the
+//! A model in f64, one ray at a time: the reference for rendering errors. It is slow and takes no shortcuts except the
 //! occupancy grid, which is part of the model.
 
 use crate::field::activation::{Color, Density};
@@ -30,7 +30,7 @@ pub struct Exact {
     resolution: u32,
     division: Division,
     background: [f64; 3],
-    /// Longest side · √3: what a run's steps divide.
+    /// Longest side · √3, the length that a run's steps divide.
     diagonal: f64,
 }
 

@@ -29,9 +29,9 @@ pub fn assets(file: &TensorFile) -> Assets {
 /// Named tensors (see [`crate::field::params::Layout`]), the occupancy bits as tensor `occupancy` and the configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// The configuration. It stands here alone: every file is written with it.
+    /// The configuration. `file` does not contain it; every written file does.
     pub config: Config,
-    /// Tensors. Metadata that a file states beside format and configuration.
+    /// The tensors, and metadata of the file other than format, configuration and box.
     pub file: TensorFile,
 }
 
@@ -143,7 +143,8 @@ fn in_f16(config: &Config) -> impl Iterator<Item = String> + use<> {
 }
 
 /// Refuses a file whose tensors are not those of its configuration, or hold numbers that are not finite, before anything
-/// of their stated size is allocated; `suffixes` are those of the names of tensors that come in the shape of parameters.
+/// of their stated size is allocated. `suffixes` are the suffixes of the names of tensors that have the parameters'
+/// shapes.
 pub(crate) fn expect_tensors(
     name: &str,
     file: &TensorFile,

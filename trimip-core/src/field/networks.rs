@@ -1,4 +1,5 @@
-//! Shapes of the two networks of a field, and what they see besides features: the viewing direction, and sines and cosines.
+//! Shapes of the two networks of a field, and their inputs besides features: the viewing direction, and sines and
+//! cosines.
 //!
 //! The density network maps an encoder's features to a logit and geometry features; the colour network maps the view and the
 //! geometry features to colour. The fields of Tri-MipRF and instant-ngp, of NeRF and mip-NeRF, and of TensoRF differ in their
@@ -103,13 +104,13 @@ fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usiz
     widths.windows(2).map(|pair| [pair[0], pair[1]]).collect()
 }
 
-/// Number of geometry features: the outputs of the density network beside the logit. Without networks they are the logits of
-/// red, green and blue.
+/// Number of geometry features: the outputs of the density network besides the logit. Without networks they are the
+/// logits of red, green and blue.
 pub fn geometry(config: &Config) -> usize {
     if encoders::of(config).direct() { 3 } else { config.field.geometry as usize }
 }
 
-/// Number of values that the colour network sees of a direction; 0 if it sees none.
+/// Number of inputs of the colour network from a direction; 0 if it takes none.
 pub fn view_width(config: &Config) -> usize {
     let field = &config.field;
     if encoders::of(config).direct() {
@@ -122,15 +123,15 @@ pub fn view_width(config: &Config) -> usize {
     }
 }
 
-/// The slot of the weights from the direction to the first hidden layer of colour, and the number of them, which come first;
-/// `None` if the colour network sees no direction.
+/// Name of the slot with the weights from the direction to the first hidden layer of colour, and the number of these
+/// weights, which come first in the slot; `None` if the colour network takes no direction.
 pub fn direction_weights(config: &Config) -> Option<(String, usize)> {
     let network = color_network(config);
     let (width, [_, outputs]) = (view_width(config), *network.layers.first()?);
     (width > 0).then(|| (format!("{}.0.weight", network.name), width * outputs))
 }
 
-/// Number of values that the colour network sees of the geometry features.
+/// Number of inputs of the colour network from the geometry features.
 pub fn geometry_width(config: &Config) -> usize {
     match encoders::of(config).direct() {
         true => 0,
@@ -138,14 +139,14 @@ pub fn geometry_width(config: &Config) -> usize {
     }
 }
 
-/// Number of values of `values` numbers with their sines and cosines at `frequencies` frequencies.
+/// Length of a row of `values` numbers with their sines and cosines at `frequencies` frequencies.
 pub fn with_frequencies(values: usize, frequencies: u32) -> usize {
     values * (1 + 2 * frequencies as usize)
 }
 
 /// Appends sin(2^k x) of all values, then cos(2^k x) of all values, for each k below `frequencies` (NeRF, Eq. 4, without π).
 /// `row` begins with the values and has room for the rest.
-/// Each angle is twice the one before, so its sine and cosine follow from those; errors double with it.
+/// Each angle is twice the one before, so its sine and cosine are computed from those; errors double with the angle.
 #[inline]
 pub fn append_frequencies<R: Real>(row: &mut [R], values: usize, frequencies: u32) {
     for k in 0..frequencies as usize {
@@ -163,8 +164,8 @@ pub fn append_frequencies<R: Real>(row: &mut [R], values: usize, frequencies: u3
     }
 }
 
-/// Adds to the gradient of the values, the front of `gradient`, what comes from their sines and cosines. `row` is the output
-/// of [`append_frequencies`], and `gradient` the gradient by it.
+/// Adds the gradient through the sines and cosines to the gradient of the values, which is the front of `gradient`. `row`
+/// is the output of [`append_frequencies`], and `gradient` the gradient by it.
 #[inline]
 pub fn pull_frequencies<R: Real>(row: &[R], gradient: &mut [R], values: usize, frequencies: u32) {
     let mut factor = R::one();
@@ -179,7 +180,7 @@ pub fn pull_frequencies<R: Real>(row: &[R], gradient: &mut [R], values: usize, f
     }
 }
 
-/// What the colour network sees of a unit direction: [`view_width`] values.
+/// The colour network's inputs from a unit direction: [`view_width`] values.
 pub fn view<R: Real>(config: &Config, direction: [R; 3]) -> Vec<R> {
     let width = view_width(config);
     match config.field.view {

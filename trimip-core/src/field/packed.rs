@@ -1,8 +1,9 @@
-//! Model files of few bytes, for models that travel: what `export web` writes and every program here reads.
+//! Compact model files for transfer: `export web` writes them, and every program of the workspace reads them.
 //!
-//! A tensor that model files hold as f16, which encoders have, is stored in 8 bits a value, along its last axis (the channels of a texel) between the least and the
-//! greatest value of the channel. The codes stand channel by channel, each as the difference to the one before it, which
-//! untouched texels make zero, and are compressed (DEFLATE, RFC 1951). The networks keep their floats. Assets are left out.
+//! A tensor that model files hold as f16 (an encoder's) is quantised to 8 bits a value, along its last axis (the channels
+//! of a texel) between the least and the greatest value of the channel. The codes are stored channel by channel, each as
+//! the difference to the one before it, which is zero for untouched texels, and are compressed (DEFLATE, RFC 1951).
+//! Network weights stay f32. Assets are left out.
 
 use crate::{
     Config, Error, Layout, Result,
@@ -17,10 +18,10 @@ use flate2::Compression;
 /// Value of the metadata `format` of a packed file.
 pub(crate) const FORMAT: &str = "trimip-packed-1";
 
-/// End of the name of a packed tensor's least value and step of each channel, shape [channels, 2].
+/// Suffix of the tensor with the least value and the step of each channel, shape [channels, 2].
 const SCALES: &str = ".scales";
 
-/// Codes of a channel: 0 to this.
+/// Largest code of a channel; the least is 0.
 const MOST: f32 = 255.0;
 
 /// The `expected` bytes of the compressed tensor `tensor` of `file`.
@@ -49,7 +50,7 @@ fn coded(values: &[f32], channels: usize) -> (Vec<u8>, Vec<f32>) {
     (codes, scales)
 }
 
-/// The values of [`coded`].
+/// The inverse of [`coded`].
 fn decoded(codes: &[u8], scales: &[f32], channels: usize) -> Vec<f32> {
     let rows = codes.len() / channels;
     let mut values = vec![0.0; codes.len()];
@@ -64,7 +65,7 @@ fn decoded(codes: &[u8], scales: &[f32], channels: usize) -> Vec<f32> {
     values
 }
 
-/// The tensors of a model, packed; `coarse` names those of 8 bits a value.
+/// The tensors of a model, packed; `coarse` names those that are quantised to 8 bits a value.
 ///
 /// # Errors
 /// When they cannot be compressed.
@@ -94,7 +95,7 @@ pub(crate) fn pack(file: &TensorFile, coarse: &[String]) -> Result<TensorFile> {
 /// The tensors of a packed file, as those of its configuration. `name` names the file in errors.
 ///
 /// # Errors
-/// When one is missing or does not have the bytes that it should.
+/// When one is missing or has a wrong number of bytes.
 pub(crate) fn unpack(name: &str, packed: &TensorFile, config: &Config) -> Result<TensorFile> {
     let mut file = TensorFile { metadata: packed.metadata.clone(), ..TensorFile::default() };
     let missing =
@@ -131,7 +132,7 @@ mod tests {
             let step = scales[2 * (i % channels) + 1];
             assert!((value - found).abs() <= 0.5001 * step, "{i}: {value} became {found}, a step is {step}");
         }
-        // The ends of a channel are exact, and a constant one is too.
+        // The least value of a channel is exact, and so is a constant channel.
         assert!(
             (0..channels).all(|c| found.iter().skip(c).step_by(channels).any(|own| *own == scales[2 * c]))
         );

@@ -112,7 +112,7 @@ impl Layout {
         values
     }
 
-    /// The weights from the viewing direction to the first hidden layer of colour.
+    /// Range of the weights from the viewing direction to the first hidden layer of colour; `None` if there are none.
     pub fn direction_weights(&self, config: &Config) -> Option<Range<usize>> {
         let (name, count) = direction_weights(config)?;
         let slot = self.slots.iter().find(|slot| slot.name == name)?;

@@ -17,7 +17,7 @@ pub struct Slot {
     pub range: Range<usize>,
     /// Initial values are uniform in [-bound, bound].
     pub bound: f32,
-    /// True if they are normal with standard deviation `bound` instead.
+    /// True if initial values are normal with standard deviation `bound` instead.
     pub normal: bool,
     /// Learning rate as a multiple of `optimizer.learning_rate`.
     pub rate: f64,
@@ -50,13 +50,13 @@ impl Slot {
         }
     }
 
-    /// Its range, including the padding after it.
+    /// The slot's range, including the padding after it.
     pub fn padded(&self) -> Range<usize> {
         self.range.start..self.range.end.next_multiple_of(ALIGNMENT)
     }
 }
 
-/// The slots one after the other in a flat array: each begins behind the padding of the one before.
+/// Places the slots one after the other in a flat array: each begins after the padding of the one before.
 pub fn in_sequence(slots: impl IntoIterator<Item = Slot>) -> Vec<Slot> {
     let mut start = 0;
     let placed = slots.into_iter().map(|mut slot| {

@@ -13,7 +13,7 @@ use std::path::Path;
 /// the same run must write the same file.
 const METADATA: &str = "trimip";
 
-/// Bytes of the header's length, which stands before the header. The header is filled to a multiple of it.
+/// Size in bytes of the header's length, which precedes the header. The header is padded to a multiple of this size.
 const LENGTH: usize = size_of::<u64>();
 
 /// Values of a tensor.
@@ -33,7 +33,7 @@ pub enum Values {
 pub struct Tensor {
     /// Extent of each axis.
     pub shape: Vec<usize>,
-    /// `shape` product values.
+    /// The values, as many as the product of `shape`.
     pub values: Values,
 }
 
@@ -106,7 +106,7 @@ pub struct TensorFile {
 }
 
 impl TensorFile {
-    /// The tensor `name` as floats of the given shape. Errors name the tensor; `file` is its place.
+    /// The tensor `name` as floats of the given shape. Errors name the tensor and its file, `file`.
     ///
     /// # Errors
     /// When there is no such tensor, or it has another type or shape.
@@ -128,7 +128,7 @@ impl TensorFile {
         }
     }
 
-    /// Refuses a file with a number that is not finite; names its tensor and index.
+    /// Refuses a file with a number that is not finite; the error names its tensor and index.
     ///
     /// # Errors
     /// When there is one.
@@ -155,8 +155,8 @@ impl TensorFile {
         })
     }
 
-    /// Writes the file at `path`, atomically, with `metadata` beside its own; returns its size in bytes. Tensors go
-    /// directly to the disk, without a second copy in memory.
+    /// Writes the file at `path`, atomically, with `metadata` in addition to its own; returns its size in bytes. Tensors
+    /// are written directly to the disk, without a second copy in memory.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -277,7 +277,7 @@ mod tests {
         file
     }
 
-    /// The sample as it stands in a file.
+    /// The bytes of the sample's file.
     fn bytes() -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("sample.safetensors");

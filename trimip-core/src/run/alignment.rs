@@ -1,6 +1,7 @@
-//! Test views of a run that refines poses: each is aligned with the finished model on the left half of its picture and measured
-//! on the right half. A model of refined poses has the frame that training found, and given poses of test views are as rough as
-//! those of the training views were. An aligned view has the refined intrinsics of its camera.
+//! Test views of a run that refines poses: each is aligned with the finished model on the left half of its picture and
+//! measured on the right half. A model trained with refined poses has the frame that training found, and the given poses
+//! of test views are as rough as those of the training views were. An aligned view has the refined intrinsics of its
+//! camera.
 
 use super::evaluate::{TestFrames, compared};
 use crate::{
@@ -12,14 +13,14 @@ use crate::{
     measures::{metrics::psnr, quality::capped},
 };
 
-/// Number of test views that are aligned, at most, evenly spread.
+/// Largest number of test views that are aligned; they are evenly spread.
 const VIEWS: usize = 8;
 
-/// Pixels of a view that is aligned, at most, if a test frame has a scale so coarse.
+/// Largest number of pixels of an aligned view, if a test frame has a scale that coarse.
 const PIXELS: u64 = 1 << 18;
 
-/// Aligns test views with the model of `session` and measures them; none without test views. `refined` has the given intrinsics
-/// of each training camera at its finest scale, and their change.
+/// Aligns test views with the model of `session` and measures them; `None` without test views. `refined` has the given
+/// intrinsics of each training camera at its finest scale, and their change.
 ///
 /// # Errors
 /// When a photograph cannot be read, or the device fails.
@@ -56,14 +57,14 @@ pub fn measure(
     Ok(Some(Aligned { views: frames.len(), given, aligned }))
 }
 
-/// The change of the intrinsics of the camera that took a frame; none if that took no training photograph.
+/// The change of the intrinsics of the camera that took a frame; zero if this camera took no training photograph.
 fn change_of(frame: &ViewSet, refined: &[(Intrinsics, Change)]) -> Change {
     let finest = frame.views.first().map(|view| view.camera.intrinsics);
     let camera = refined.iter().find(|(given, _)| Some(*given) == finest);
     camera.map_or_else(Change::default, |(_, change)| *change)
 }
 
-/// The scale of a frame that is aligned: the finest one of so few pixels, or else the coarsest.
+/// The scale at which a frame is aligned: the finest one of at most [`PIXELS`] pixels, or else the coarsest.
 fn shown(frame: &ViewSet) -> usize {
     let few = |scale: &Scale| scale.pixels.len() as u64 <= PIXELS;
     frame.scales.iter().position(few).unwrap_or(frame.scales.len() - 1)
@@ -116,7 +117,7 @@ mod tests {
         (0..width * height).map(colour).collect()
     }
 
-    /// A session that knows where the photographs were taken.
+    /// A session that is given the camera of the photographs.
     struct Knowing(Camera);
 
     impl Viewer for Knowing {
@@ -160,7 +161,7 @@ mod tests {
             unreachable!("nothing is trained")
         }
         fn align(&mut self, views: ViewSet) -> Result<Vec<Camera>> {
-            // The left halves are those of the pictures.
+            // The views are the left halves of the pictures.
             for (i, view) in views.views.iter().enumerate() {
                 let true_camera = Camera { intrinsics: view.camera.intrinsics, ..self.0 };
                 let expected = picture(&true_camera);

@@ -21,15 +21,15 @@ pub struct ViewResult<'a> {
     pub scale: u32,
     /// The camera that it was rendered with.
     pub camera: &'a Camera,
-    /// What was rendered, as the set's photographs show silhouettes.
+    /// The rendered view, with silhouettes as the set's photographs show them.
     pub rendered: &'a Frame,
     /// The photograph on the same background.
     pub target: &'a [[f32; 3]],
-    /// dB.
+    /// PSNR, dB.
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// What [`Watch::measure_perception`] measured.
+    /// The scores of [`Watch::measure_perception`].
     pub perceptual: &'a PerceptualScores,
 }
 
@@ -38,7 +38,7 @@ pub fn opposite(background: [f32; 3]) -> [f32; 3] {
     background.map(|channel| if channel < 0.5 { 1.0 } else { 0.0 })
 }
 
-/// Callbacks of an evaluation; those that return false stop it.
+/// Callbacks of an evaluation. A callback that returns false stops it.
 pub trait Watch {
     /// `rows` of the `of` rows of a frame, over all its scales, are rendered.
     fn rows(&mut self, rows: u32, of: u32) -> bool {
@@ -73,12 +73,15 @@ pub struct TestFrames<'a> {
     pub frames: &'a dyn Frames,
     /// The background, and the convention of the photographs.
     pub data: &'a PhotographsConfig,
-    /// The finest scale that is compared: 1, 2, 4, ..; the coarsest of a frame that has none so coarse.
+    /// The finest scale that is compared: 1, 2, 4, ... A frame without so coarse a scale is compared at its coarsest.
     pub finest: u32,
 }
 
-/// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` sees each
-/// result and returns false to stop early.
+/// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` receives
+/// each result and returns false to stop early.
+///
+/// # Errors
+/// As [`evaluate_frame`].
 pub fn evaluate(
     viewer: &mut dyn Viewer,
     frames: &dyn Frames,
@@ -96,8 +99,9 @@ pub fn evaluate(
     Ok(qualities)
 }
 
-/// Renders frame `index` at its scales from the finest that is compared on, and adds their measures to `qualities`. Pixels that the lens has no ray for are not compared, nor those of which a mask keeps
-/// less than half; a view without others is left out. False if `watch` stopped it; the current view is then not included.
+/// Renders frame `index` at its scales from the finest that is compared on, and adds their measures to `qualities`.
+/// Pixels for which the lens has no ray are not compared, nor those of which a mask keeps less than half; a view without
+/// other pixels is skipped. Returns false if `watch` stopped it; a view whose rendering was stopped is not included.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or `watch` fails.
@@ -132,7 +136,7 @@ pub fn evaluate_frame(
         let seen = |rgb: Vec<[f32; 3]>| without(&excluded, rgb);
         let target_seen = seen(target.clone());
         let psnr_plain = capped(psnr(&seen(rendered.rgb()), &target_seen));
-        // Each block drops its pictures: few are in memory at once.
+        // Each block drops its pictures, so that few are in memory at once.
         let psnr_box = {
             let truth =
                 set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
@@ -199,8 +203,8 @@ pub fn evaluate_frame(
     Ok(true)
 }
 
-/// The colours of the pixels of view `view` that are compared, of a picture of it: all but those that the lens has no ray for,
-/// and those of which a mask keeps less than half.
+/// Returns the compared colours of `rgb`, a picture of view `view`: those of all pixels except the ones for which the
+/// lens has no ray, and those of which a mask keeps less than half.
 pub fn compared(set: &ViewSet, view: usize, rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     without(&excluded(set, view), rgb)
 }
@@ -217,14 +221,14 @@ fn excluded(set: &ViewSet, view: usize) -> Vec<bool> {
     (0..).zip(pixels).map(|(i, &pixel)| set.alpha.leaves_out(pixel) || unseen(i)).collect()
 }
 
-/// The pixels that are not `excluded`, of one value per pixel.
+/// Removes the values of `excluded` pixels; there is one value per pixel.
 fn without<T>(excluded: &[bool], mut values: Vec<T>) -> Vec<T> {
     let mut flags = excluded.iter();
     values.retain(|_| !flags.next().copied().unwrap_or(false));
     values
 }
 
-/// What a photograph itself shows of the background that its transparent part is put on: RGB of each pixel.
+/// The part of a photograph's colours that comes from the background behind its transparent part: RGB of each pixel.
 fn photographed_background(set: &ViewSet, view: usize, background: [f32; 3]) -> Vec<[f32; 3]> {
     let clear = |&pixel: &[u8; 4]| 1.0 - set.alpha.opacity(pixel);
     set.pixels_of(view).iter().map(|pixel| background.map(|channel| clear(pixel) * channel)).collect()

@@ -19,10 +19,10 @@ use web_time::{Duration, Instant};
 /// Interval between two progress events of an evaluation.
 const TELL_EVERY: Duration = Duration::from_millis(500);
 
-/// Multiple of its time after which an evaluation ends with the views that it has: predictions may be wrong.
+/// Multiple of its allowed time after which an evaluation ends with the views measured so far: predictions may be wrong.
 const AT_MOST: f64 = 4.0;
 
-/// The same that the final evaluation takes for a whole view before it leaves out full size.
+/// Multiple of its allowed time that the final evaluation takes for a whole view before it leaves out full size.
 const FULL_SIZE: f64 = 2.0;
 
 /// Up to this progress, an evaluation covers at least half of the curve's views or is skipped.
@@ -37,7 +37,7 @@ struct Coverage {
     coarse: bool,
 }
 
-/// When an evaluation was made.
+/// The moment of an evaluation.
 #[derive(Clone, Copy)]
 struct Moment<'a> {
     /// The totals of the run.
@@ -52,7 +52,7 @@ struct Moment<'a> {
 enum Attempt {
     /// Views were measured.
     Measured(Coverage),
-    /// There was no time for a single view, with scales left out up to this factor.
+    /// There was no time for a single view, even with the scales finer than this factor left out.
     NoTime(u32),
     /// The run was asked to stop.
     Stopped,
@@ -67,8 +67,8 @@ impl Run<'_> {
         let allowed = keeper.on_the_way(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
         let mut chain = strides(frames, stride, stride);
         if self.progress(totals) < EARLY {
-            // Early in a run the scene is fog, which renders slowly. A missing point is better than one on other
-            // views than the later points.
+            // Early in a run the scene is fog, which renders slowly. A missing point is better than a point measured on
+            // other views than the later ones.
             let few = chain.len().saturating_sub(2);
             chain.drain(..few);
         }
@@ -107,7 +107,7 @@ impl Run<'_> {
                     self.events.emit(&Event::Stopped { totals: *totals });
                     return Ok(Outcome::Stopped);
                 }
-                // The time that was spent has told the keeper how slow a pixel is.
+                // The keeper has recorded how slow a pixel is, so the next attempt is coarser.
                 Attempt::NoTime(finest) if finest < self.coarsest() => {}
                 Attempt::NoTime(_) => {
                     return Err(Error::run(format!(
@@ -231,7 +231,7 @@ impl Run<'_> {
 
 /// Reports the progress of an evaluation, and ends the evaluation on request or when it takes too long.
 struct Watcher<'a> {
-    /// What measures perception, and of which views: those whose index is a multiple.
+    /// The measures of perception, and the stride of their views: those whose index is a multiple of it.
     perception: Option<(&'a mut dyn Perception, usize)>,
     store: Option<&'a mut dyn Store>,
     events: &'a mut dyn EventSink,
@@ -275,8 +275,8 @@ impl Watch for Watcher<'_> {
     }
 }
 
-/// The finest of `strides` by which at most `most` of `frames` views have measures of perception; `None` for none. An
-/// evaluation that had no time for finer strides has thus measured all or an even part of its views.
+/// The finest of `strides` by which at most `most` of `frames` views have measures of perception; `None` if there is
+/// none. An evaluation without time for finer strides then has measured all or an evenly spread part of its views.
 fn perceptual_stride(strides: &[usize], frames: usize, most: usize) -> Option<usize> {
     strides.iter().copied().filter(|stride| frames.div_ceil(*stride) <= most).min()
 }

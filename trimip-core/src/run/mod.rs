@@ -1,5 +1,5 @@
-//! A training run: steps, evaluations, checkpoints and events, in order. It uses a session and a store, and knows
-//! nothing of files, terminals or devices.
+//! A training run: steps, evaluations, checkpoints and events, in order. It uses a session and a store, and is
+//! independent of files, terminals and devices.
 
 pub mod alignment;
 pub mod evaluate;
@@ -52,18 +52,18 @@ pub trait Store {
     /// # Errors
     /// When the view cannot be stored.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()>;
-    /// The final evaluation is complete: all of its views were received. Its result is told afterwards, so a result that
-    /// was told has its views stored.
+    /// Called when all views of the final evaluation were received, and before the event of its result: an announced
+    /// result has its views stored.
     ///
     /// # Errors
     /// When the views cannot be stored.
     fn evaluated(&mut self) -> Result<()>;
 }
 
-/// Looks at a run while it goes on.
+/// An observer of a run in progress.
 pub trait Observer {
-    /// Called between two steps; its time does not count as training, so a run is paused by waiting here. Returns true to get
-    /// the model as it is, and is called again after it.
+    /// Called between two steps. Its time does not count as training, so an observer pauses the run by waiting here. If
+    /// it returns true, [`model`](Self::model) receives the current model, and this function is called again.
     fn between(&mut self, totals: &Totals) -> bool {
         let _ = totals;
         false
@@ -75,7 +75,7 @@ pub trait Observer {
     }
 }
 
-/// Nobody looks.
+/// The absence of an observer.
 impl Observer for () {}
 
 /// How a run ended.
@@ -95,7 +95,7 @@ pub struct Run<'a> {
     pub session: &'a mut dyn Session,
     /// Test frames.
     pub frames: &'a dyn Frames,
-    /// Takes the measures of perception in the final evaluation, of the views that `eval.perceptual_views` asks for.
+    /// Computes the measures of perception in the final evaluation, for the views that `eval.perceptual_views` asks for.
     pub perception: &'a mut dyn Perception,
     /// Receives the results.
     pub store: &'a mut dyn Store,
@@ -105,8 +105,8 @@ pub struct Run<'a> {
     pub observer: &'a mut dyn Observer,
     /// Set by another thread to stop the run after the current step.
     pub stop: &'a AtomicBool,
-    /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve that lie
-    /// between it and the beginning of this part were interrupted, and are made up for.
+    /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve between
+    /// it and the beginning of this part were missed; one evaluation at the beginning makes up for them.
     pub evaluated: Totals,
 }
 
@@ -192,7 +192,8 @@ impl Run<'_> {
         let checkpoint = self.checkpoint(&totals, *kept)?;
         let stored = self.store(&checkpoint, kept);
         drop(checkpoint);
-        // Without its checkpoint the run has to be repeated from the last one, but its result may still be had.
+        // If the checkpoint could not be stored, the run has to be repeated from the last one, but its model is still
+        // written.
         let model = self.session.finish()?;
         self.store.model(&model).map_err(|error| stored.clone().err().unwrap_or(error))?;
         self.tell_poses()?;
@@ -201,7 +202,7 @@ impl Run<'_> {
         stored.and(outcome)
     }
 
-    /// Stores refined cameras, aligns test views with the finished model, and emits what was found.
+    /// Stores refined cameras, aligns test views with the finished model, and emits the result.
     fn tell_poses(&mut self) -> Result<()> {
         let Some(Refined { cameras, intrinsics, moved }) = self.session.refined() else { return Ok(()) };
         self.store.cameras(&cameras)?;
@@ -273,7 +274,7 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The checkpoint of the present state.
+    /// The checkpoint of the current state.
     ///
     /// # Errors
     /// When a value in it is not finite. The last good checkpoint, of step `kept`, is then not overwritten.
@@ -290,7 +291,7 @@ impl Run<'_> {
         Ok(checkpoint)
     }
 
-    /// Stores a checkpoint, and notes its step in `kept`.
+    /// Stores a checkpoint, and records its step in `kept`.
     ///
     /// # Errors
     /// When the store has no room for it.
@@ -306,7 +307,7 @@ impl Run<'_> {
     fn save_after(&mut self, error: Error, totals: &Totals, kept: &mut Option<u64>) -> Error {
         match self.save(totals, kept) {
             Ok(()) => error,
-            // The session has no other state than that of the failed step.
+            // Saving returned the same error: the session only has the state of the failed step.
             Err(unsaved) if unsaved.message == error.message => {
                 Error { message: format!("{}; {}", error.message, remaining(*kept)), ..error }
             }
@@ -315,7 +316,7 @@ impl Run<'_> {
     }
 }
 
-/// The last good state: the checkpoint of step `kept`.
+/// Describes the last good state: the checkpoint of step `kept`.
 fn remaining(kept: Option<u64>) -> String {
     kept.map_or("no checkpoint was written before".into(), |step| {
         format!("the checkpoint of step {step} is kept")

@@ -3,13 +3,14 @@
 
 use std::cmp::Reverse;
 
-/// Fraction of the evaluations' share that goes to those during training; the final evaluation gets the rest.
+/// Fraction of the evaluations' share for those during training; the final evaluation gets the rest.
 const ON_THE_WAY: f64 = 0.6;
 
 /// Extra seconds for the final evaluation, so that short runs are measured too.
 const AT_THE_END: f64 = 20.0;
 
-/// Time of a rendered pixel relative to a training ray, assumed before the first measurement: one pass of three.
+/// Time of a rendered pixel relative to a training ray, assumed before the first measurement: rendering is one of
+/// training's three passes.
 const FORWARD: f64 = 0.5;
 
 /// Limits the time that a run spends on evaluations.
@@ -89,8 +90,8 @@ impl Timekeeper {
         finest
     }
 
-    /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share, plus what
-    /// earlier evaluations left.
+    /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share, plus the time
+    /// that earlier evaluations left unused.
     pub fn on_the_way(&mut self, total: f64) -> f64 {
         self.passed += 1.0;
         self.bounded(ON_THE_WAY * self.fraction * total * self.passed / self.points - self.spent)
@@ -172,7 +173,7 @@ mod tests {
         }
         assert!((sum - 0.6 * 0.25 * total).abs() < 1e-9);
         assert!(sum + keeper.at_the_end(total) <= 0.25 * total + AT_THE_END + 1e-9);
-        // The next evaluation may use what this one left.
+        // The next evaluation may use the time that this one left.
         let mut keeper = Timekeeper::new(0.25, 6);
         keeper.on_the_way(total);
         assert!((keeper.on_the_way(total) - 15.0).abs() < 1e-9);
@@ -184,7 +185,7 @@ mod tests {
         let mut keeper = Timekeeper::new(0.25, 6);
         keeper.rendered(10.0, 1e6);
         assert_eq!([10.0, 9.9, 2.5, 2.4, 0.0].map(|allowed| keeper.finest(1e6, allowed, 8)), [1, 2, 2, 4, 8]);
-        // What ran out of time at each factor is tried again at a larger one.
+        // A view that ran out of time at one factor is tried again at a larger one.
         for factor in [1_u32, 2, 4] {
             keeper.rendered(10.0, 1e6 / f64::from(factor * factor));
             assert_eq!(keeper.finest(1e6, 9.0, 8), 2 * factor);

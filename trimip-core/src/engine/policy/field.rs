@@ -1,4 +1,5 @@
-//! The policy of the field: the shapes of its networks, what the colour network sees, and the functions of their outputs.
+//! The policy of the field: the shapes of its networks, the inputs of the colour network, and the functions of their
+//! outputs.
 
 use crate::{
     Config,
@@ -18,11 +19,11 @@ pub struct FieldPolicy {
     pub density: Network,
     /// The network from the view and the geometry features to colour.
     pub color: Network,
-    /// Number of values that the colour network sees of a direction; 0 if it sees none.
+    /// Number of inputs of the colour network from a direction; 0 if it takes none.
     pub view: usize,
     /// Number of geometry features.
     pub geometry: usize,
-    /// Number of values that the colour network sees of the geometry features, their sines and cosines included.
+    /// Number of inputs of the colour network from the geometry features, their sines and cosines included.
     pub geometry_width: usize,
     /// Density of a logit.
     pub density_activation: Density,
@@ -45,7 +46,7 @@ impl FieldPolicy {
         }
     }
 
-    /// True if there are no networks: the features are the logits, that of density before those of colour.
+    /// True if there are no networks: the features are the logits, density before colour.
     pub fn is_direct(&self) -> bool {
         self.density.layers.is_empty() && self.color.layers.is_empty()
     }

@@ -1,7 +1,8 @@
 //! The policy of each stage: the settings, schedules and shapes that the host decides, once for every backend.
 //!
-//! A policy is a plain value. It is built from a configuration, follows the progress of a run, and tells a backend's kernels the
-//! numbers that they compute with. A backend's stage holds its policy beside its buffers and kernels, and decides nothing itself.
+//! A policy is a plain value. It is built from a configuration, follows the progress of a run, and gives a backend's
+//! kernels the numbers that they compute with. A backend's stage holds its policy next to its buffers and kernels, and
+//! makes no decisions itself.
 
 mod field;
 mod occupancy;

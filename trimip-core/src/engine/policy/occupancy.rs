@@ -1,4 +1,4 @@
-//! The policy of the occupancy grid: its space and steps, the cells of a refresh, and the queries that are made of them.
+//! The policy of the occupancy grid: its space and steps, the cells of a refresh, and the query of each cell.
 
 use crate::{
     Config, Space,
@@ -49,13 +49,13 @@ impl OccupancyPolicy {
         self.settings.resolution.pow(3)
     }
 
-    /// Fraction of the cells that the refresh at `step` asks about. Warm-up steps use `occupancy.warmup_fraction`.
+    /// Fraction of the cells that the refresh at `step` queries. Warm-up steps use `occupancy.warmup_fraction`.
     pub fn fraction(&self, step: u64) -> f32 {
         let warm = step < u64::from(self.settings.warmup);
         if warm { self.settings.warmup_fraction } else { self.settings.fraction }
     }
 
-    /// The cells that the refresh at `step` asks about, if `occupied` cells are occupied.
+    /// The cells that the refresh at `step` queries, if `occupied` cells are occupied.
     pub fn choice(&self, step: u64, occupied: usize) -> Choice {
         let draws = self.random.at(Sequence::Cell, step);
         Choice::new(draws, self.fraction(step), occupied, self.settings.cells())

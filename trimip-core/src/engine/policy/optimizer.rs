@@ -10,21 +10,21 @@ use crate::{
 };
 use std::ops::Range;
 
-/// Settings, slots, and their parts that are in use.
+/// Settings, slots, and the active part of each slot.
 #[derive(Clone, Debug)]
 pub struct OptimizerPolicy {
     settings: OptimizerConfig,
     slots: Vec<Slot>,
-    /// One per slot, up to the next alignment.
+    /// One per slot, extended to the next alignment.
     parts: Vec<ActiveRange>,
 }
 
 /// The update of one slot in one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotUpdate {
-    /// Range of the parameters that are updated, up to the next alignment.
+    /// Range of the updated parameters, extended to the next alignment.
     pub range: Range<usize>,
-    /// The rule by which they are.
+    /// The rule of the update.
     pub rule: Rule<f32>,
     /// Groups of this many values are skipped if they have no gradient.
     pub group: Option<usize>,

@@ -1,4 +1,4 @@
-//! The policy of the gradient by poses: the direction in which each ray is moved, and by how much.
+//! The policy of the gradient by poses: the direction and distance by which each ray is displaced.
 
 use crate::{
     Config, Space, ViewSet,
@@ -11,20 +11,21 @@ use crate::{
     },
 };
 
-/// How rays are moved to see how the loss follows them.
+/// The displacement of rays, from which the gradient by poses follows.
 #[derive(Clone, Debug)]
 pub struct PosePolicy {
     /// The space that rays pass through.
     pub space: Space<f32>,
     /// Number of photographs.
     pub photographs: usize,
-    /// Features of a sample that are compared; a row is padded beyond them.
+    /// Number of features of a sample that are compared; the rest of a row is padding.
     pub width: usize,
     random: Random,
 }
 
 impl PosePolicy {
-    /// The policy of a configuration over training views; none unless it refines poses.
+    /// The policy of a configuration over training views; `None` without views, or unless the configuration refines
+    /// poses.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Option<Self> {
         let views = views.filter(|_| config.train.cameras == CameraPoses::Refine)?;
         Some(Self {
@@ -40,7 +41,8 @@ impl PosePolicy {
         self.random.at(Sequence::Motion, step)
     }
 
-    /// The place of a moved ray's sample at distance `t` in the cube, with the radius of the one that it is compared with.
+    /// The sphere of a moved ray's sample at distance `t`: its position in the unit cube, clamped to it, and the `radius`
+    /// of the original sample.
     #[inline]
     pub fn sphere(&self, moved: &Ray, t: f32, radius: f32) -> Sphere {
         let point = std::array::from_fn(|axis| moved.origin[axis] + t * moved.direction[axis]);
@@ -51,14 +53,14 @@ impl PosePolicy {
 /// A random unit vector across ray number `index` of a step.
 #[inline]
 pub fn direction(draws: &Draws, index: u32, ray: &Ray) -> [f32; 3] {
-    // Uniform within a disc, then of length 1: no device's sine or cosine has a part in it.
+    // A uniform point of a disc, normalised: sine and cosine, which differ between devices, are not needed.
     let [x, y] = disc(draws, index);
     let scale = (x * x + y * y).sqrt().recip();
     let [u, v] = across(ray.direction);
     std::array::from_fn(|axis| scale * (x * u[axis] + y * v[axis]))
 }
 
-/// A point of the unit disc: the first of four within a square that lies there, or else the last one.
+/// A point of the unit disc: the first of four points of a square that lies in the disc, or else the last of them.
 #[inline]
 fn disc(draws: &Draws, index: u32) -> [f32; 2] {
     let mut point = [0.0; 2];

@@ -1,5 +1,5 @@
-//! The policy of rendering: the length of a marching step and the weight of samples without a colour, by their schedules;
-//! what is pruned, the background, and the proxy of hybrid rendering.
+//! The policy of rendering: the schedules of the marching step's length and of the least weight of samples with a colour,
+//! the pruning rule, the background, and the proxy of hybrid rendering.
 
 use crate::{
     Config, Result, Space,
@@ -60,7 +60,7 @@ impl RendererPolicy {
         self.color_weight = self.color_weights.at(progress) as f32;
     }
 
-    /// Length of a marching step, in world units of a bounded space, else of the ray's parameter.
+    /// Length of a marching step: in world units in a bounded space, otherwise in units of the ray's parameter.
     #[inline]
     pub fn step_length(&self) -> f32 {
         self.step_length
@@ -76,8 +76,8 @@ impl RendererPolicy {
         self.space.most_steps(self.step_length)
     }
 
-    /// What chooses the samples of pictures, from the assets of a model. `None` for volume rendering, and if the assets have no
-    /// proxy.
+    /// Builds the guide that chooses the samples of pictures, from the assets of a model. `None` for volume rendering,
+    /// and if the assets have no proxy or an empty one.
     ///
     /// # Errors
     /// When the proxy is broken.

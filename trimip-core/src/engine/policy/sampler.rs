@@ -1,5 +1,5 @@
-//! The policy of sampling rays: which pixels a step draws from which scale, their loss weight and cones, and the share of
-//! random backgrounds, by the schedules.
+//! The policy of sampling rays: the pixels that a step draws from each scale, their loss weight and cones, and the share
+//! of random backgrounds, by the schedules.
 
 use crate::{
     Config, Scale, View, ViewSet,
@@ -39,7 +39,7 @@ pub struct SamplerPolicy {
 }
 
 impl SamplerPolicy {
-    /// The policy of a configuration over training views at the start of a run; without views it is one of camera rays.
+    /// The policy of a configuration over training views at the start of a run; without views, for camera rays only.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Self {
         let told_apart =
             config.loss.exposure == Exposure::Gain || config.train.cameras == CameraPoses::Refine;
@@ -57,7 +57,7 @@ impl SamplerPolicy {
             sampling: views.map(|views| ScaleSampling::new(config, views)),
             scale_weights: ScaleWeights::default(),
             random_background: 0.0,
-            // A trainer refuses views that can have none.
+            // A trainer refuses views that cannot have an error map.
             error_map: views.and_then(|views| ErrorMap::new(config, views).ok().flatten()),
         };
         policy.set_progress(0.0);
@@ -100,8 +100,8 @@ impl SamplerPolicy {
         self.error_map = Some(map);
     }
 
-    /// Pixel `index` of a training step, from the scale that `draw` gives it. `views` are all views. Within the scale it is uniform,
-    /// or drawn by the error map.
+    /// Pixel `index` of a training step, from the scale that `draw` assigns to it. Within the scale it is drawn uniformly
+    /// or by the error map. `views` are all views.
     #[inline]
     pub fn pixel(&self, views: &[View], step: u64, draw: &RayAllocation, index: u32) -> Drawn {
         let scale = draw.scale(index);
@@ -173,7 +173,7 @@ mod tests {
             assert!(policy.scales[scale].pixels.contains(&pixel), "{index}");
             counts[pixel] += 1;
         }
-        // 2000 of 64 pixels, and 2000 of 16: four standard deviations of a binomial count.
+        // 2000 draws of 64 pixels, and 2000 of 16; the tolerance is 4.5 standard deviations.
         for (pixel, &count) in counts.iter().enumerate() {
             let expected = if pixel < 64 { 2000.0 / 64.0 } else { 2000.0 / 16.0_f64 };
             assert!((f64::from(count) - expected).abs() < 4.5 * expected.sqrt(), "{pixel}: {count}");

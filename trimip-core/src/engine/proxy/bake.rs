@@ -1,4 +1,4 @@
-//! The proxy of a model is computed from the model itself, cell by cell.
+//! Computes the proxy of a model from the model itself, cell by cell.
 
 use super::grid::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, code};
 use crate::{
@@ -12,11 +12,11 @@ use crate::{
 /// Bricks whose densities are computed at once; it bounds the memory.
 const BRICKS_AT_ONCE: usize = 256;
 
-/// Radius of the spheres, in marching steps, of a model whose cones have no given width. The scene plan makes a step 1.4
-/// pixels long.
+/// Radius of the spheres, in marching steps, for a model without a set cone width. The scene plan makes a step 1.4 pixels
+/// long.
 const RADIUS_PER_STEP: f32 = 0.36;
 
-/// How fine a proxy is.
+/// The resolution of a proxy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Baking {
     /// Cells along the longest side of the box.
@@ -34,8 +34,8 @@ impl Baking {
     }
 }
 
-/// Computes the proxy of a model: the density of the sphere at the centre of each cell that is occupied. `watch` gets the
-/// share that is done and returns false to stop; the result is then `None`.
+/// Computes the proxy of a model: the density of the sphere at the centre of each cell that is occupied. `watch` receives
+/// the fraction that is done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
 /// When space is contracted, and when the device fails.

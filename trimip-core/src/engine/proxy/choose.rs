@@ -1,26 +1,26 @@
-//! Which places of a ray are evaluated, given the densities that the proxy predicts along it, and which of them share a
-//! colour. Letters as in [`compositing`](crate::math::compositing).
+//! Chooses the places of a ray that are evaluated, from the densities that the proxy predicts along it, and the samples
+//! that share a colour. Letters as in [`compositing`](crate::math::compositing).
 //!
-//! The ray is divided into steps. A step whose predicted weight is less than [`Rule::least`] is left out; it lends its optical
-//! depth to the next sample, or to the last one of the ray. Where the weights of steps that were left out add up to
-//! [`Rule::least`], the heaviest of them becomes a sample, so that a ray loses less than that. The samples are evaluated by
-//! the model. Neighbouring samples of less weight than [`Rule::shared_weight`] together share one colour, that of the weighted mean
-//! of their geometry features.
+//! The ray is divided into steps. A step whose predicted weight is less than [`Rule::least`] is left out; its optical
+//! depth is added to the next sample, or to the last one of the ray. Where the weights of left-out steps add up to
+//! [`Rule::least`], the heaviest of them becomes a sample, so that a ray loses less than this weight. The model evaluates
+//! the samples. Neighbouring samples whose total weight is at most [`Rule::shared_weight`] share one colour, that of the
+//! weighted mean of their geometry features.
 
 use crate::math::compositing::weight;
 use std::ops::Range;
 
-/// Optical depth behind the end of an opaque ray.
+/// Optical depth behind the end of an opaque ray, added to its last sample.
 pub const BEHIND: f32 = 6.0;
 
-/// How samples are chosen.
+/// The rule by which samples are chosen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rule {
     /// Least predicted weight of a sample.
     pub least: f32,
     /// Predicted transmittance at which a ray ends.
     pub opaque: f32,
-    /// Most weight of samples that share a colour.
+    /// Largest total weight of samples that share a colour.
     pub shared_weight: f32,
     /// Largest distance between samples that share a colour, world units.
     pub reach: f32,
@@ -31,34 +31,34 @@ pub struct Rule {
 pub struct Chosen {
     /// Distance, in units of the unit direction.
     pub t: f32,
-    /// Predicted optical depth of its step, over that of all the steps for which it stands.
+    /// Predicted optical depth of its own step; `depth` is that of all steps that it represents.
     pub(super) own: f32,
     pub(super) depth: f32,
 }
 
 impl Chosen {
-    /// Length of the sample, for steps of this length. It is at most that of the steps for which it stands, because it is the
-    /// thickest of them; the last sample of an opaque ray may be longer.
+    /// Length of the sample, for steps of length `step`. It is at most the length of the steps that it represents,
+    /// because its own step is the thickest of them; the last sample of an opaque ray may be longer.
     #[inline(always)]
     pub fn length(&self, step: f32) -> f32 {
         step * (self.depth / self.own)
     }
 }
 
-/// Chooses the samples of one ray, of which the steps arrive front to back.
+/// Chooses the samples of one ray, whose steps arrive front to back.
 #[derive(Clone, Copy, Debug)]
 pub struct Chooser {
     rule: Rule,
     transmittance: f32,
     /// Weight of the steps that were left out since the last sample.
     light: f32,
-    /// The heaviest of them, with their optical depth.
+    /// The thickest of these steps, with the optical depth of all of them.
     lent: Chosen,
-    /// The last sample; it is given away when the next one is known.
+    /// The last sample; it is emitted when the next one is known.
     held: Option<Chosen>,
 }
 
-/// Picks samples of one ray, of which the steps with a density arrive front to back.
+/// Picks samples of one ray, whose steps with a density arrive front to back.
 pub trait Pick {
     /// Adds a step around `t`, of the predicted optical depth `depth` and opacity `alpha`. Returns true if the ray ends
     /// there.
@@ -69,7 +69,7 @@ pub trait Pick {
 }
 
 impl Chooser {
-    /// A ray on which nothing has been seen yet.
+    /// The state at the start of a ray.
     #[inline(always)]
     pub fn new(rule: Rule) -> Self {
         Self { rule, transmittance: 1.0, light: 0.0, lent: Chosen::default(), held: None }
@@ -122,7 +122,7 @@ pub struct Shaded {
 }
 
 /// Groups the samples of a ray that share a colour, given their distances and optical depths front to back. Sets all
-/// weights; `group` gets the range of each group.
+/// weights; `group` receives the range and the samples of each group.
 pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(Range<usize>, &[Shaded])) {
     let mut before = 0.0_f32;
     for sample in samples.iter_mut() {
@@ -134,7 +134,7 @@ pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(R
         let mut sum = first.weight;
         let mut end = start + 1;
         while let Some(next) = samples.get(end) {
-            // False for NaN, which stays alone.
+            // The comparison is false for NaN, which stays alone.
             if !(sum + next.weight <= rule.shared_weight && next.t - first.t <= rule.reach) {
                 break;
             }
@@ -180,8 +180,8 @@ mod tests {
         }
     }
 
-    /// Steps too thin for a sample of their own have one together, at the thickest of them. The ray loses less opacity than
-    /// the least weight, however thin the fog is.
+    /// Steps too thin for a sample of their own share one, at the thickest of them. The ray loses less opacity than the
+    /// least weight, however thin the fog is.
     #[test]
     fn fog_is_seen() {
         for thin in [1e-4_f32, 1e-3, 5e-3, 0.03] {

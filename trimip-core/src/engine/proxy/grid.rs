@@ -12,14 +12,15 @@ pub(super) const BRICK_BYTES: usize = BRICK_CELLS / 2;
 /// Number of codes of a cell.
 pub const CODES: usize = 16;
 
-/// Optical depth of a cell with code 1; below it a cell is empty. All cells along a ray together are then as good as empty.
+/// Optical depth of a cell with code 1; a thinner cell counts as empty, because all thinner cells along a ray are nearly
+/// transparent.
 const THINNEST: f32 = 1.0 / 65536.0;
 
-/// Optical depth of a cell with the last code, which is the opacity of a wall.
+/// Optical depth of a cell with the last code, which is as opaque as a wall.
 const THICKEST: f32 = 16.0;
 
-/// A sparse grid of densities over the unit cube. A cell has a code of four bits, 0 for empty; the logarithm of the density
-/// grows with it. That is exact enough to choose samples by.
+/// A sparse grid of densities over the unit cube. A cell has a code of four bits, 0 for empty; the logarithm of the
+/// density grows with the code. This is exact enough for choosing samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proxy {
     /// Cells along each axis, multiples of [`BRICK`].
@@ -128,7 +129,7 @@ fn octaves() -> f32 {
     (THICKEST / THINNEST).log2()
 }
 
-/// Intervals between them.
+/// Number of intervals between these two codes.
 fn intervals() -> f32 {
     (CODES - 2) as f32
 }

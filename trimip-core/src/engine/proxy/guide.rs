@@ -7,12 +7,12 @@ use crate::{
     field::model::Assets,
 };
 
-/// A proxy, and how samples are chosen by it.
+/// A proxy, and the rules that choose samples by it.
 #[derive(Clone, Debug)]
 pub struct Guide {
     /// The densities.
     pub proxy: Proxy,
-    /// How samples are chosen, and how they share colours.
+    /// The rule by which samples are chosen and share colours.
     pub rule: Rule,
     /// The paper's rule, if samples are placed by it.
     pub layers: Option<Layers>,
@@ -25,7 +25,7 @@ pub struct Guide {
 }
 
 impl Guide {
-    /// The guide of a model with these assets. `None` for volume rendering, and if the proxy shows nothing.
+    /// The guide of a model with these assets. `None` for volume rendering, and if they have no proxy or an empty one.
     ///
     /// # Errors
     /// When the proxy is broken.

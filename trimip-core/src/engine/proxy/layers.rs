@@ -1,5 +1,5 @@
-//! The paper's rule (Tri-MipRF Section 3.4): uniform samples around each place where a ray enters a surface. A surface begins
-//! where the proxy predicts a least optical depth, which takes the place of the paper's mesh.
+//! The paper's rule (Tri-MipRF Section 3.4): uniform samples around each place where a ray enters a surface. A surface
+//! begins where the proxy predicts a least optical depth; this replaces the paper's mesh.
 
 use super::{Chosen, Pick};
 
@@ -10,7 +10,7 @@ pub struct Layers {
     pub delta: f32,
     /// Samples of a layer.
     pub samples: u32,
-    /// Most layers of a ray.
+    /// Largest number of layers of a ray.
     pub layers: u32,
     /// Predicted optical depth of a step at which a surface begins.
     pub surface: f32,
@@ -18,19 +18,19 @@ pub struct Layers {
     pub step: f32,
 }
 
-/// Places the samples of one ray, of which the steps arrive front to back.
+/// Places the samples of one ray, whose steps arrive front to back.
 #[derive(Clone, Copy, Debug)]
 pub struct Layering {
     rule: Layers,
     layers: u32,
     /// End of the last layer.
     end: f32,
-    /// The last step in a surface.
+    /// Distance of the last step in a surface.
     dense: f32,
 }
 
 impl Layering {
-    /// A ray on which nothing has been seen yet.
+    /// The state at the start of a ray.
     #[inline(always)]
     pub fn new(rule: Layers) -> Self {
         Self { rule, layers: 0, end: f32::NEG_INFINITY, dense: f32::NEG_INFINITY }

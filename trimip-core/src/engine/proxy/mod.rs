@@ -1,6 +1,6 @@
-//! The proxy of a trained model: a sparse grid of its densities, fine enough to tell where along a ray the surfaces
-//! are. A renderer places its few samples by it (hybrid rendering, Tri-MipRF Section 3.4); colour and density of a
-//! picture come from the model. The proxy is an asset: it travels in the model file.
+//! The proxy of a trained model: a sparse grid of its densities, fine enough to locate the surfaces along a ray. A
+//! renderer uses it to place its few samples (hybrid rendering, Tri-MipRF Section 3.4); colour and density of a picture
+//! come from the model. The proxy is an asset: it is stored in the model file.
 
 mod bake;
 mod choose;

@@ -52,7 +52,7 @@ impl Proxy {
     pub fn to_assets(&self) -> Result<Assets> {
         let [x, y, z] = self.cells.map(|count| count as f32);
         let bits = bits::of(self.index.len(), |brick| self.index[brick] > 0);
-        // Bricks are numbered in the order in which they lie.
+        // Bricks with codes are numbered in grid order, so that one bit per brick restores the index.
         Ok([
             (name(SHAPE), Tensor::f32(&[5], vec![x, y, z, self.width, self.radius])),
             (name(BRICKS), deflated(&bits, Compression::default())?),
@@ -64,7 +64,7 @@ impl Proxy {
     /// The proxy of a model's assets; `None` if they hold none.
     ///
     /// # Errors
-    /// When it is broken.
+    /// When the proxy is broken.
     pub fn from_assets(assets: &Assets) -> Result<Option<Self>> {
         let Some(shape) = assets.get(&name(SHAPE)) else { return Ok(None) };
         let Tensor { values: Values::F32(shape), .. } = shape else {

@@ -1,4 +1,4 @@
-//! Poses of other photographs, aligned with a model that stays as it is.
+//! Aligns the poses of other photographs with a model that does not change.
 
 use super::Trainer;
 use crate::{
@@ -11,14 +11,14 @@ use std::sync::Arc;
 /// Steps of an alignment.
 const STEPS: u64 = 200;
 
-/// Samples of a step, at most.
+/// Largest number of samples of a step.
 const SAMPLES: u32 = 1 << 16;
 
 /// Learning rates at the start and at the end, in the units of `optimizer.camera_rate`.
 const RATES: [f64; 2] = [1e-3, 5e-5];
 
 impl<B: Backend> Trainer<B> {
-    /// The cameras of the photographs `views`, moved so that the model as it is now shows them best.
+    /// Returns the cameras of the photographs `views`, moved so that the current model shows them best.
     pub(super) fn aligned(&mut self, views: ViewSet) -> Result<Vec<Camera>> {
         let config = settings(&self.loaded.config);
         let model = self.full_model()?;
@@ -41,7 +41,7 @@ impl<B: Backend> Trainer<B> {
         Ok(refined.into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// One step of the poses alone.
+    /// Performs one step that changes the poses alone.
     fn align_step(&mut self, progress: f64) -> Result<()> {
         self.gradients(self.state.rays_per_step, None);
         let receipt = self.device().post(&self.partials);

@@ -39,7 +39,8 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
-/// The threshold after a step that drew some of its samples, for a fraction of them. It is 0 if all are to be drawn.
+/// Returns the threshold after a step that drew `drawn` of `of` samples, for a wanted `fraction`; 0 if all samples are to
+/// be drawn.
 fn adapted(threshold: f64, fraction: f64, [drawn, of]: [u64; 2]) -> f64 {
     if fraction >= 1.0 {
         return 0.0;
@@ -53,8 +54,8 @@ fn adapted(threshold: f64, fraction: f64, [drawn, of]: [u64; 2]) -> f64 {
     if drawn == of {
         return (MOST * threshold).min(LAST);
     }
-    // The number of drawn samples falls at most as fast as the threshold rises. The root damps the swings on devices whose sums come
-    // late.
+    // The number of drawn samples falls at most as fast as the threshold rises. The square root damps oscillations on
+    // devices whose sums arrive late.
     let ratio = drawn as f64 / (fraction * of as f64);
     (threshold * ratio.sqrt().clamp(MOST.recip(), MOST)).clamp(FIRST, LAST)
 }

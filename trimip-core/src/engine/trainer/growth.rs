@@ -57,8 +57,8 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    /// Lets the occupancy grid follow the confinement at `progress`. A cell that could be occupied is not confined again: the
-    /// progress of a run that is continued for longer falls back.
+    /// Applies the confinement at `progress` to the occupancy grid. It is never tightened again: the progress of a run
+    /// that is extended falls back.
     pub(super) fn follow_confinement(&mut self, progress: f64) {
         let next = Confinement::at(&self.loaded.config, progress);
         if next > self.state.confinement {
@@ -66,7 +66,7 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Lets the error map follow the errors of the last steps.
+    /// Updates the error map by the errors of the last steps.
     pub(super) fn follow_errors(&mut self, progress: f64) -> Result<()> {
         self.gather_errors()?;
         let fraction = self.loaded.config.train.error_map.at(progress);
@@ -78,7 +78,7 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    /// Brings the errors that all ranks have observed together on every rank.
+    /// Collects, on every rank, the errors that all ranks have observed.
     pub(super) fn gather_errors(&mut self) -> Result<()> {
         let sampler = &mut self.loaded.stages.sampler;
         let Some(map) = sampler.policy().error_map() else { return Ok(()) };
@@ -89,7 +89,8 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    /// Empties the cells that cannot be occupied. Those that now can stay empty until a refresh asks about them.
+    /// Empties the cells that cannot be occupied. Cells that have become possible stay empty until a refresh queries
+    /// them.
     pub(super) fn confine(&mut self, confinement: Confinement) {
         self.state.confinement = confinement;
         let occupancy = &mut self.loaded.stages.occupancy;
@@ -105,7 +106,7 @@ impl<B: Backend> Trainer<B> {
         occupancy.restore(&bits, Some(&densities));
     }
 
-    /// Brings the optimiser's moments together on every rank.
+    /// Collects, on every rank, the optimiser's moments of all ranks.
     pub(super) fn gather_moments(&mut self) -> Result<()> {
         self.exchange.moments(&self.loaded.backend, &mut self.loaded.stages)
     }
@@ -131,7 +132,8 @@ impl<B: Backend> Trainer<B> {
         self.restrict();
     }
 
-    /// Restricts the optimiser to the parameters in use: those of the stage, and the weights of the direction after their delay.
+    /// Restricts the optimiser to the parameters in use: those of the stage, without the direction's weights until their
+    /// delay ends.
     fn restrict(&mut self) {
         let stage = self.state.stage;
         let encoder = encoders::of(&self.loaded.config);

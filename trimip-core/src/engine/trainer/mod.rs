@@ -47,15 +47,16 @@ pub struct Trainer<B: Backend> {
     partials: Vec<PartialGradients<B>>,
     probes: B::Buffer<Radiance>,
     state: TrainState,
-    /// Number of gradients left out that the optimiser's counter does not have, modulo 2^64: after a restored state it may have
-    /// more than belong to the run.
+    /// Number of gradients that the run has left out, minus the optimiser's own counter, modulo 2^64. After a restored
+    /// state the counter may include gradients that do not belong to the run.
     left_out_before: u64,
     /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
-    /// Why the parameters are of no use: they hold the update of a step whose loss was not finite.
+    /// The error that made the parameters unusable: they hold the update of a step whose loss was not finite.
     spoilt: Option<Error>,
     exchange: Box<dyn Exchange<B>>,
-    /// Errors since the error map last followed them, as far as all ranks have brought them together. With `train.error_map`.
+    /// Errors since the last update of the error map, as far as they were collected from all ranks. With
+    /// `train.error_map`.
     errors: Vec<CellErrors>,
     /// With `loss.exposure`.
     exposures: Option<Exposures>,
@@ -76,7 +77,7 @@ impl<B: Backend> Trainer<B> {
         Self::on(Arc::new(backend), config, views)
     }
 
-    /// As [`new`](Self::new), on a device that others use too.
+    /// As [`new`](Self::new), on a device that is shared.
     fn on(backend: Arc<B>, config: &Config, views: ViewSet) -> Result<Self> {
         if views.pixels.is_empty() {
             return Err(Error::input("training views", "no pixels", "name a data set with training images"));
@@ -135,7 +136,7 @@ impl<B: Backend> Trainer<B> {
         Ok(trainer)
     }
 
-    /// Trains together with other ranks from now on: every later step has the pixels of all of them.
+    /// Trains together with other ranks: every later step has the pixels of all of them.
     pub fn exchange_by(&mut self, exchange: Box<dyn Exchange<B>>) {
         self.exchange = exchange;
     }

@@ -1,5 +1,5 @@
-//! Loss and gradients without a step. No training needs them: tests compare them with finite differences and with other
-//! backends.
+//! Loss and gradients without a step. Training does not need them: tests compare them with finite differences and with
+//! other backends.
 
 use super::Trainer;
 use crate::{
@@ -22,8 +22,8 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Loss and gradient of the current parameters on the rays of step `step`; does not change the parameters. The
-    /// gradient is flat and divided by the sum of the weights.
+    /// Returns loss and gradient of the current parameters on the rays of `rays` pixels of step `step`; does not change
+    /// the parameters. The gradient is flat and divided by the sum of the weights.
     ///
     /// # Errors
     /// When the device fails.
@@ -32,8 +32,8 @@ impl<B: Backend> Trainer<B> {
         Ok((sums, self.mean_gradient(&sums)))
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), of samples that are drawn with a threshold
-    /// ([`SampleDraw`]) and the random numbers of step `draw`.
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), with samples drawn by a threshold ([`SampleDraw`]) and the
+    /// random numbers of step `draw`.
     ///
     /// # Errors
     /// When the device fails.
@@ -55,7 +55,8 @@ impl<B: Backend> Trainer<B> {
         gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), by the log-gains of the photographs (RGB of each).
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), with the gradient by the log-gains of the photographs (RGB of
+    /// each).
     ///
     /// # Errors
     /// When the device fails.
@@ -74,8 +75,8 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), by motions of the photographs' cameras, as
-    /// [`set_poses`](Self::set_poses) takes them.
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), with the gradient by motions of the photographs' cameras, in
+    /// the form of [`set_poses`](Self::set_poses).
     ///
     /// # Errors
     /// When the device fails.
@@ -93,8 +94,8 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), by changes of each camera's intrinsics, as
-    /// [`set_intrinsics`](Self::set_intrinsics) takes one for all.
+    /// As [`loss_and_gradient`](Self::loss_and_gradient), with the gradient by changes of each camera's intrinsics;
+    /// [`set_intrinsics`](Self::set_intrinsics) takes one change for all.
     ///
     /// # Errors
     /// When the device fails.
@@ -104,7 +105,7 @@ impl<B: Backend> Trainer<B> {
         Ok((result.sums, gradient.unwrap_or_default()))
     }
 
-    /// Forward and backward over the rays of step `step`; the gradient is complete afterwards.
+    /// Runs forward and backward over the rays of step `step`; afterwards the gradient is complete.
     fn result_of(&mut self, step: u64, rays: u32, draw: Option<SampleDraw>) -> Result<StepResult> {
         self.state.totals.step = step;
         let backend = Arc::clone(&self.loaded.backend);

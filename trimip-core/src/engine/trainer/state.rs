@@ -1,4 +1,4 @@
-//! State that leaves a training and is restored: models and checkpoints.
+//! Saves and restores the state of a training: models and checkpoints.
 
 use super::{Trainer, sums::Arrival, sums::Pending};
 use crate::{
@@ -13,7 +13,7 @@ use crate::{
 };
 
 impl<B: Backend> Trainer<B> {
-    /// The model in full size, whatever size it has reached in training.
+    /// The model at full size, whatever size it has reached in training.
     pub(super) fn full_model(&mut self) -> Result<Model> {
         let mut values = self.parameters();
         self.grow(&mut values, 0);
@@ -22,7 +22,7 @@ impl<B: Backend> Trainer<B> {
         Ok(Model::new(self.loaded.config.clone(), tensors))
     }
 
-    /// The model as its file will hold it. From now on the session renders as the file does, with the schedule at its
+    /// The model as its file will hold it. Afterwards the session renders as the file does, with the schedules at their
     /// end.
     pub(super) fn finished_model(&mut self) -> Result<Model> {
         self.expect_usable()?;
@@ -36,7 +36,7 @@ impl<B: Backend> Trainer<B> {
         Ok(model)
     }
 
-    /// Collects what a checkpoint needs of other ranks and of the device.
+    /// Collects the data that a checkpoint needs from other ranks and from the device.
     pub(super) fn gather(&mut self) -> Result<()> {
         self.expect_usable()?;
         self.drain()?;

@@ -28,7 +28,7 @@ const MAX_RAYS_PER_TILE: u32 = 256;
 /// Occupancy cells per tile.
 const CELLS_PER_TILE: u32 = 512;
 
-/// Maps pixels to the loss, and its gradient back to what the tile leaves in the partial gradients.
+/// Maps pixels to the loss, and propagates its gradient back to the tile's partial gradients.
 fn backward<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
@@ -172,7 +172,7 @@ impl<B: Backend> Trainer<B> {
         self.adapt_draw(sums, progress);
     }
 
-    /// Computes new parameters from the partial gradients, with those of the other ranks.
+    /// Computes new parameters from the partial gradients of all ranks.
     fn update(&mut self, rate: f64, step: u64) -> Result<()> {
         let Self { loaded, gradient, partials, exchange, .. } = self;
         let (backend, stages, parameters) = (&*loaded.backend, &mut loaded.stages, &mut loaded.parameters);

@@ -62,12 +62,12 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Refuses sums that are not finite of a step whose update is done. Its parameters are then refused too.
+    /// Returns an error if the sums of a step whose update is done are not finite. The parameters are then unusable, too.
     pub(super) fn expect_finite(&mut self, step: u64, sums: &StepSums) -> Result<()> {
         finite(step, sums).inspect_err(|error| self.spoilt = Some(error.clone()))
     }
 
-    /// Refuses parameters that hold the update of a step whose loss was not finite.
+    /// Returns an error if the parameters hold the update of a step whose loss was not finite.
     pub(super) fn expect_usable(&self) -> Result<()> {
         self.spoilt.clone().map_or(Ok(()), Err)
     }
@@ -92,7 +92,7 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Reads all pending sums, as a checkpoint holds them.
+    /// Reads all pending sums into the state, for a checkpoint.
     pub(super) fn drain(&mut self) -> Result<()> {
         self.state.pending = [None; MOST_PENDING];
         let first = self.state.totals.step.saturating_sub(self.pending.len() as u64);

@@ -1,4 +1,4 @@
-//! What core knows of an encoder without a backend: its declaration, and its features in f64.
+//! The device-independent part of an encoder: its declaration, and its features in f64.
 
 use crate::{
     Config, Slot,
@@ -32,12 +32,12 @@ pub trait Definition: Sync {
     /// The encoder's slots, in order. Their ranges are set by the [`Layout`](crate::field::params::Layout).
     fn slots(&self, config: &Config) -> Vec<Slot>;
 
-    /// Bytes that a backend derives from the parameters and keeps beside them, including their gradients.
+    /// Bytes that a backend derives from the parameters and keeps in addition to them, including their gradients.
     fn derived_bytes(&self, _config: &Config) -> u64 {
         0
     }
 
-    /// What takes less memory, for a run that is predicted to need too much: "lower voxels.sides".
+    /// Advice for a run that is predicted to need too much memory: "lower voxels.sides".
     fn lowered_by(&self) -> &'static str {
         "lower field.hidden"
     }
@@ -56,8 +56,8 @@ pub trait Definition: Sync {
     /// same way, unless they restart.
     fn grow(&self, _config: &Config, _slot: &Slot, _values: &mut [f32], _from: u32, _to: u32) {}
 
-    /// The progress at which the optimiser's moments, of all slots, and its learning rate last started anew, for an encoder
-    /// that does so whenever it grows; otherwise `None`.
+    /// The progress at which the optimiser's moments, of all slots, and its learning rate last restarted, for an encoder
+    /// that restarts them whenever it grows; otherwise `None`.
     fn restarted(&self, _config: &Config, _progress: f64) -> Option<f64> {
         None
     }

@@ -8,7 +8,8 @@ use crate::config::FrequenciesConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};
 
-/// mip-NeRF's radius of a pixel's cone, 2/√12 of the pixel's width, over that of a disc of the pixel's area, 1/√π.
+/// Ratio of mip-NeRF's radius of a pixel's cone, 2/√12 of the pixel's width, to the radius of a disc of the pixel's area,
+/// 1/√π.
 pub const RADIUS: f64 = 1.023_326_707_946_488_5;
 
 /// Positional encodings as an encoder.
@@ -21,7 +22,7 @@ pub struct Encoding<R> {
     pub count: usize,
     /// True to weight sines and cosines by the mean over the sample's Gaussian.
     pub integrated: bool,
-    /// True to have the coordinates themselves first.
+    /// True to put the coordinates themselves first.
     pub identity: bool,
     /// Size of the box, world units.
     pub extent: [R; 3],

@@ -1,7 +1,7 @@
 //! Multiresolution hash encoding (Müller et al. 2022, instant-ngp). Each level is a grid, finer than the one before
 //! by a constant factor, with features at its corners, which are interpolated trilinearly. On fine levels several
-//! corners share an entry through a hash. Radii are not used, unless several points of a sample read the grid or features of
-//! cells narrower than a sample are weighed down (Barron et al. 2023, Zip-NeRF).
+//! corners share an entry through a hash. Radii are not used, unless several points of a sample read the grid, or
+//! features of cells narrower than the sample are down-weighted (Barron et al. 2023, Zip-NeRF).
 
 mod points;
 

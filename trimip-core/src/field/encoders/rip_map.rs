@@ -68,9 +68,9 @@ impl Gaussian<f32> {
     }
 }
 
-/// A plane and its ripmap. Level (i, j) has `sides[0] >> i` columns and `sides[1] >> j` rows. The ripmap is one
-/// rectangle of texels: in each row of level j, the columns of all levels i stand side by side, and the rows of all
-/// levels j follow each other.
+/// A plane and its ripmap. Level (i, j) has `sides[0] >> i` columns and `sides[1] >> j` rows. The ripmap is one rectangle
+/// of texels: in each row of level j, the columns of all levels i lie side by side, and the rows of all levels j follow
+/// each other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plane<R> {
     /// Columns and rows of level (0, 0).
@@ -96,7 +96,7 @@ pub struct Plane<R> {
 pub struct Read<R> {
     /// Levels along the two axes.
     pub levels: [usize; 2],
-    /// Share of the level among the reads.
+    /// Weight of the level among the reads.
     pub level_weight: R,
     /// Texels of the level, and their weights.
     pub taps: Taps<R>,
@@ -235,7 +235,7 @@ impl<R: Real> Plane<R> {
         (at, blends)
     }
 
-    /// The reads of a Gaussian, at most four; the others have a share of 0.
+    /// The reads of a Gaussian, at most four; the others have a weight of 0.
     #[inline(always)]
     pub fn reads(&self, gaussian: &Gaussian<R>) -> [Read<R>; 4] {
         let (at, [i, j]) = self.project(gaussian);
@@ -245,7 +245,7 @@ impl<R: Real> Plane<R> {
             };
             let (up_i, up_j) = (k & 1 == 1, k & 2 == 2);
             let level_weight = level_weight(i, up_i) * level_weight(j, up_j);
-            // A level above the top has no share; it need not exist.
+            // A level above the top has no weight; it need not exist.
             let levels = match level_weight > R::zero() {
                 true => [i.lower + usize::from(up_i), j.lower + usize::from(up_j)],
                 false => [0, 0],

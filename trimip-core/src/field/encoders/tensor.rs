@@ -35,7 +35,7 @@ pub const KINDS: [Kind; 2] = [Kind::Density, Kind::Color];
 /// Sizes of the factors at a stage of growth.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// How features are products.
+    /// How features decompose into products.
     pub decomposition: Decomposition,
     /// Grid points along the box's axes.
     pub sides: [usize; 3],
@@ -107,8 +107,8 @@ impl Shape {
     }
 }
 
-/// The grid point before a place along an axis of `side` points, the corners of the box being the first and the last, and the
-/// weight of the point after it.
+/// Returns the grid point before a place along an axis of `side` points, and the weight of the point after it. The
+/// corners of the box are the first and the last point.
 #[inline(always)]
 pub fn between<R: Real>(side: usize, place: R) -> (usize, R) {
     let last = R::from_u32(side as u32 - 1);
@@ -123,7 +123,8 @@ fn part(slot: &Slot) -> (Kind, bool) {
     (kind, slot.name.ends_with("planes"))
 }
 
-/// Interpolates rows of `count` points with `width` floats each to `to` points; the first and the last stay.
+/// Interpolates rows of `count` points with `width` floats each to `to` points; the first and the last point keep their
+/// values.
 pub(super) fn resample(values: &[f32], count: usize, width: usize, to: usize) -> Vec<f32> {
     let mut result = Vec::with_capacity(values.len() / count * to);
     for row in values.chunks_exact(count * width) {
@@ -235,7 +236,8 @@ impl Definition for Tensors {
     }
 }
 
-/// Where the slots of the encoder begin in the parameters, in order: for each tensor its planes, if there are any, and lines.
+/// The slots of the encoder with their ranges in the parameters, in order: for each tensor its planes, if there are any,
+/// and lines.
 pub fn slots(config: &Config) -> Vec<Slot> {
     in_sequence(Tensors.slots(config))
 }

@@ -139,7 +139,7 @@ impl Definition for Voxels {
     }
 }
 
-/// Where the densities and the colours begin in the parameters, in order.
+/// The slots of the densities and of the colours with their ranges in the parameters, in order.
 pub fn slots(config: &Config) -> Vec<Slot> {
     in_sequence(Voxels.slots(config))
 }

@@ -9,7 +9,7 @@ pub trait Definition: Sync {
     /// Name of the term and of its WGSL function: "smooth_l1".
     fn name(&self) -> &'static str;
 
-    /// Weight relative to the colour at the start of a run; 0 if the term is not at work.
+    /// Weight relative to the colour at the start of a run; 0 if the term is disabled.
     fn weight(&self, config: &LossConfig) -> f32;
 
     /// The weight at `progress` in [0, 1] of a run.
@@ -22,7 +22,7 @@ pub trait Definition: Sync {
         [0.0; 3]
     }
 
-    /// Puts the term to work in a small configuration. The suites of every backend run over these examples.
+    /// Enables the term in a small configuration. The suites of every backend run over these examples.
     fn example(&self, config: &mut Config);
 }
 
@@ -60,9 +60,10 @@ pub trait RayTerm: Definition {
     fn reference(&self, config: &LossConfig, cone: &ConeSamples<'_, f64>) -> f64;
 }
 
-/// An adjustment of the colour that is compared, by gains of the photograph that are trained beside the parameters.
+/// An adjustment of the compared colour by gains of the photograph, which are trained alongside the parameters.
 pub trait Adjustment: Definition {
-    /// The colour that is compared, for the colour `shown`, of which `behind` is the photograph's own background.
+    /// Returns the compared colour for the rendered colour `shown`; `behind` is its part that is the photograph's own
+    /// background.
     fn reference(&self, shown: [f64; 3], behind: [f64; 3], gains: [f64; 3]) -> [f64; 3];
 }
 

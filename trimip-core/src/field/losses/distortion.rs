@@ -226,7 +226,8 @@ mod tests {
         }
     }
 
-    /// The gradient of an opaque sample goes to 0, times its depth too: no rounding error may make it grow.
+    /// The gradient of an opaque sample goes to 0, and so does its product with the depth: no rounding error may make it
+    /// grow.
     #[test]
     fn opaque_samples_have_no_gradient() {
         let part =

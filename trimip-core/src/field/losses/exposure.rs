@@ -1,6 +1,6 @@
-//! Exposure of photographs as an adjustment of the compared colour, for `loss.exposure = "gain"`: what a pixel shows of its
-//! photograph's own is multiplied by the photograph's gain of each channel. How gains are trained is in
-//! [`exposure`](crate::engine::exposure).
+//! Exposure of photographs as an adjustment of the compared colour, for `loss.exposure = "gain"`: the part of a pixel's
+//! colour that is the photograph's own is multiplied by the photograph's gain of each channel.
+//! [`exposure`](crate::engine::exposure) trains the gains.
 
 use super::definition::{Adjustment, Definition};
 use crate::config::{Exposure, LossConfig};
@@ -9,8 +9,9 @@ use crate::{Config, math::scalar::Real};
 /// One gain of each channel of each photograph.
 pub struct Gains;
 
-/// The colour that is compared with a photograph: its own part of `shown` times `gain`. `behind` is what the photograph
-/// itself shows of the background that its transparent part was put on, which no camera exposed.
+/// Returns the colour that is compared with a photograph: `gain` times the photograph's own part of `shown`, plus
+/// `behind`. `behind` is the part that comes from the background behind the photograph's transparent part, which no
+/// camera exposed.
 #[inline]
 pub fn exposed<R: Real>(shown: [R; 3], behind: [R; 3], gain: [R; 3]) -> [R; 3] {
     std::array::from_fn(|c| gain[c] * (shown[c] - behind[c]) + behind[c])

@@ -1,8 +1,8 @@
 //! The terms of the loss by name. A term is a file here (its declaration, its formula, its equation in f64), WGSL in a GPU
 //! backend, a line in the list of its kind, and its settings in [`LossConfig`].
 //!
-//! The loss of a pixel is the mean over its channels of the photometric term, plus weight · value of every other term
-//! that is at work; the loss of a step is the mean over its pixels, weighted by their areas.
+//! The loss of a pixel is the mean over its channels of the photometric term, plus weight · value of every other enabled
+//! term. The loss of a step is the mean over its pixels, weighted by their areas.
 
 pub mod charbonnier;
 mod definition;
@@ -53,7 +53,7 @@ pub const RAY_TERMS: &[&dyn RayTerm] = &[&distortion::Distortion, &depth::Depth]
 /// The adjustments of the colour that is compared.
 pub const ADJUSTMENTS: &[&dyn Adjustment] = &[&exposure::Gains];
 
-/// The terms that are at work at `progress` in [0, 1] of a run, with their weights.
+/// The terms that are enabled at `progress` in [0, 1] of a run, with their weights.
 pub fn at_work<T: Definition + ?Sized>(
     terms: &[&'static T],
     config: &LossConfig,

@@ -79,7 +79,7 @@ impl<R: Real> Points<R> {
         !self.downweight || deviation * R::from_f64(f64::from(level.scale) + 1.0) < R::from_f64(WITHIN)
     }
 
-    /// Weight of a level's features at a point, among all points.
+    /// Weight of a level's features at one point of a sample, divided by the number of points.
     #[inline(always)]
     pub fn level_weight(&self, level: &Level, deviation: R) -> R {
         let level_weight = if self.downweight { level_weight(level.scale, deviation) } else { R::one() };
@@ -92,15 +92,15 @@ impl<R: Real> Points<R> {
 pub fn level_weight<R: Real>(scale: f32, deviation: R) -> R {
     let cells = deviation * R::from_f64(f64::from(scale) + 1.0);
     let weight = erf(R::from_f64(8_f64.sqrt().recip()) / cells);
-    // So many deviations fit into a cell that the error function is 1. A choice between two values is a vector instruction.
+    // Below this deviation the error function is 1. The choice between two computed values is a vector instruction.
     if !(cells > R::from_f64(1e-3)) { R::one() } else { weight }
 }
 
-/// The error function of a number above zero, within 3e-7 (Abramowitz and Stegun, 7.1.28): products and a quotient alone, which
-/// every processor computes for many numbers at once.
+/// The error function of a number above zero, within 3e-7 (Abramowitz and Stegun, 7.1.28). It needs only products and a
+/// quotient, which every processor computes for many numbers at once.
 #[inline(always)]
 fn erf<R: Real>(x: R) -> R {
-    // The rest to 1 is less than 2e-8 from there on.
+    // From there on the function differs from 1 by less than 2e-8.
     let x = x.min(R::from_f64(4.0));
     let factors = [4.306_38e-5, 2.765_672e-4, 1.520_143e-4, 9.270_527_2e-3, 4.228_201_23e-2, 7.052_307_84e-2];
     let sum = factors.into_iter().fold(R::zero(), |sum, factor| (sum + R::from_f64(factor)) * x);

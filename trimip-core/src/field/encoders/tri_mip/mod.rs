@@ -22,7 +22,7 @@ pub const CHANNELS: usize = 16;
 /// Features that a sample reads: the three planes' channels, concatenated.
 pub const FEATURES: usize = 3 * CHANNELS;
 
-/// Levels per unit of the networks' level input: 0 to 8 levels tile the range of the features.
+/// Levels per unit of the networks' level input: levels 0 to 8 map to inputs 0 to 2.
 pub const LEVELS_PER_UNIT: f64 = 4.0;
 
 /// Largest level input of the networks, of either sign.
@@ -85,7 +85,7 @@ pub struct LevelBlend<R> {
 }
 
 /// Texels along the box's axes at level 0. There are `plane_size` along each axis or, with shape `box`, along the
-/// longest; the other axes get as many as make square texels, rounded up so that they halve evenly on every level.
+/// longest; the other axes get the number that makes texels square, rounded up so that they halve evenly on every level.
 pub fn sides(config: &EncoderConfig, aabb: &Aabb<f64>) -> [usize; 3] {
     let size = config.plane_size as usize;
     match config.shape {
@@ -166,7 +166,7 @@ impl Pyramid {
         LevelBlend::new(log2_radius - R::from_f64(self.log2_base_radius[plane]), self.levels)
     }
 
-    /// The mean of log2 r̈ over the planes: the sphere of level 0 for [`level_input`].
+    /// The mean of log2 r̈ over the planes: the reference of [`level_input`].
     pub fn reference(&self) -> f64 {
         self.log2_base_radius.iter().sum::<f64>() / 3.0
     }
