@@ -9,7 +9,7 @@ pub(crate) fn advice(root: &Path) -> String {
     Next::of(root, root, root).map_or_else(|| "name a folder with one of them".into(), |next| next.text)
 }
 
-/// What to do next with a folder.
+/// The next step for a folder without a scene.
 pub(crate) struct Next {
     /// In words.
     pub(crate) text: String,
@@ -18,8 +18,8 @@ pub(crate) struct Next {
 }
 
 impl Next {
-    /// What to do with a folder that messages call by `named`, and that a command takes as `taken`, which may be its archive. `None`
-    /// if it holds nothing to begin with.
+    /// The next step for the folder `root`. Messages show it as `named`, and commands get `taken`, which may be its
+    /// archive. `None` if it holds no usable file.
     pub(crate) fn of(root: &Path, named: &Path, taken: &Path) -> Option<Self> {
         let material = Material::called(root, named);
         let unpacked = |text: String| Some(Self { text, takes_archive: false });
@@ -56,7 +56,7 @@ impl Next {
             return Some(Self { text, takes_archive: false });
         }
         let film = material.films.first()?;
-        // Of several films a person chooses one.
+        // With several films, the user has to choose one.
         let takes_archive = !taken.is_dir() && material.films.len() == 1;
         let film_or_archive = if takes_archive { taken } else { film };
         let text = format!(
@@ -68,7 +68,7 @@ impl Next {
     }
 }
 
-/// The command that goes on with the features that COLMAP has found already.
+/// The command that continues with the features that COLMAP has found already.
 fn mapper(material: &Material, named: &Path) -> Option<String> {
     let database = material.database.as_ref()?;
     let beside = database.parent().unwrap_or(named);
@@ -82,7 +82,7 @@ fn mapper(material: &Material, named: &Path) -> Option<String> {
     ))
 }
 
-/// A path as a shell reads it as one word that is no option.
+/// A path, quoted so that a shell reads it as one word that is no option.
 fn shown(path: &Path) -> String {
     let plain = path.display().to_string();
     let plain = if plain.starts_with('-') { format!("./{plain}") } else { plain };

@@ -1,5 +1,5 @@
-//! A scene in a zip archive. It is unpacked once, into a folder beside the archive that is called as it without its ending. The
-//! files are written to a temporary folder that is renamed when all of them are there, so a folder of that name is whole.
+//! Scenes in zip archives. `NAME.zip` is unpacked once, to the folder `NAME` next to it. Files are written to a
+//! temporary folder that is renamed when all of them are there, so a folder `NAME` is complete.
 
 use crate::{
     advice::Next,
@@ -18,11 +18,11 @@ use trimip_core::{
     plural::count,
 };
 
-/// The file that marks a folder as unpacked by this program, and tells of which archive. Archives cannot hold it: hidden files are
-/// left out of them.
+/// The file that marks a folder as unpacked by this program and names the archive. No archive can supply this file,
+/// since hidden files are not unpacked.
 const MARK: &str = ".unpacked.json";
 
-/// How deep below the folder a scene is looked for, and in how many folders of a level.
+/// Most levels below the folder that are searched for a scene, and most folders of a level.
 const MOST_DEPTH: usize = 3;
 const MOST_FOLDERS: usize = 1000;
 
@@ -30,23 +30,23 @@ const MOST_FOLDERS: usize = 1000;
 pub(crate) struct Unpacked {
     /// Its folder.
     pub(crate) root: PathBuf,
-    /// What was unpacked where.
+    /// Archive, folder and size, in words.
     pub(crate) note: String,
 }
 
-/// What is looked for in an archive.
+/// The kind of scene that an archive must hold.
 pub(crate) struct Wanted<'a> {
-    /// Whether a folder is such a scene.
+    /// True if a folder is such a scene.
     pub(crate) is_scene: &'a dyn Fn(&Path) -> bool,
-    /// The files that show it, in words.
+    /// The files that identify such a scene, in words.
     pub(crate) files: &'a str,
 }
 
-/// Unpacks an archive, unless that was done before, and finds the scene in it.
+/// Unpacks an archive, unless its unpacked folder exists already, and finds the scene in it.
 ///
 /// # Errors
-/// Of kind `Input`: an archive that is broken or not to be trusted, one without a scene, and a folder that cannot be written or is another's.
-/// What was written is removed.
+/// Of kind `Input`: an archive that is broken, unsafe or without a scene, and a folder that cannot be written or that
+/// was not made from this archive. Files written so far are removed.
 pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> {
     // Network file systems lock only what can be written.
     let file = OpenOptions::new().read(true).write(true).open(archive).or_else(|_| File::open(archive));
@@ -65,7 +65,7 @@ pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> 
     let mark =
         json!({ "archive": name, "bytes": length, "fingerprint": format!("{:016x}", zip.fingerprint) });
     if !is_there(archive, &folder, &mark, wanted)? {
-        // Of several processes one unpacks, and the others wait. The lock ends with the process.
+        // With several processes, one unpacks and the others wait. The lock ends with the process.
         file.lock().map_err(|error| {
             let what = format!("cannot be locked: {error}");
             Error::input(archive.display(), what, "unpack it and name the folder")
@@ -85,10 +85,10 @@ pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> 
     Ok(Unpacked { root: scene(archive, &folder, &folder, wanted)?, note })
 }
 
-/// True if the folder is the unpacked archive, false if there is nothing.
+/// True if the folder is the unpacked archive, false if it does not exist.
 ///
 /// # Errors
-/// If it is anything else.
+/// If the folder is anything else.
 fn is_there(archive: &Path, folder: &Path, mark: &Value, wanted: &Wanted<'_>) -> Result<bool> {
     if folder.symlink_metadata().is_err() {
         return Ok(false);
@@ -119,7 +119,7 @@ fn marked(folder: &Path) -> Option<Value> {
     serde_json::from_slice(&mark).ok().filter(|mark: &Value| mark["fingerprint"].is_string())
 }
 
-/// A folder that is removed unless it becomes another.
+/// A temporary folder that is removed on drop, unless it was renamed.
 struct Unfinished(PathBuf);
 
 impl Drop for Unfinished {
@@ -128,7 +128,7 @@ impl Drop for Unfinished {
     }
 }
 
-/// Removes a temporary folder, its mark at last: what a killed process leaves of it still tells whose it is.
+/// Removes a temporary folder, its mark last: if the process is killed, the mark still identifies the remains.
 fn remove(root: &Path) -> std::io::Result<()> {
     for entry in root.read_dir()? {
         let entry = entry?;
@@ -141,7 +141,7 @@ fn remove(root: &Path) -> std::io::Result<()> {
     fs::remove_dir_all(root)
 }
 
-/// Writes the files of an archive to a temporary folder, which becomes `folder` once it is whole and holds a scene.
+/// Writes the files of an archive to a temporary folder, which is renamed to `folder` once it is complete and holds a scene.
 fn unpack(
     archive: &Path,
     zip: &Zip<impl rawzip::ReaderAt>,
@@ -164,7 +164,7 @@ fn unpack(
     let mark_path = root.0.join(MARK);
     fs::write(&mark_path, mark.to_string()).map_err(|error| unwritable(&mark_path, error))?;
     let paths: Vec<PathBuf> = zip.files.iter().map(|file| root.0.join(&file.path)).collect();
-    // Those with others in them come first.
+    // Parents come before their subfolders.
     let above = |path| Path::ancestors(path).skip(1).take_while(|above| *above != root.0);
     let folders: BTreeSet<&Path> = paths.iter().flat_map(|path| above(path)).collect();
     for folder in &folders {
@@ -175,7 +175,7 @@ fn unpack(
         zip.read(file, |bytes| out.write_all(bytes).map_err(|error| unwritable(path, error)))?;
     }
     scene(archive, &root.0, folder, wanted)?;
-    // Systems write many files at once faster than one after the other.
+    // Files are flushed after all are written: systems write many at once faster than one by one.
     for path in paths.iter().chain([&mark_path]) {
         let flushed = OpenOptions::new().write(true).open(path).and_then(|file| file.sync_all());
         flushed.map_err(|error| unwritable(path, error))?;
@@ -190,12 +190,12 @@ fn unpack(
 /// Removes the temporary folder of a process that was killed.
 ///
 /// # Errors
-/// If it is another's.
+/// If this program did not make it.
 fn remove_left(root: &Path, archive: &Path) -> Result<()> {
     if root.symlink_metadata().is_err() {
         return Ok(());
     }
-    // A process that was killed before the mark was written leaves a folder with nothing else.
+    // A process that was killed before its mark was complete leaves a folder with at most that file.
     let is_bare = root
         .read_dir()
         .is_ok_and(|mut entries| entries.all(|entry| entry.is_ok_and(|entry| entry.file_name() == MARK)));
@@ -207,7 +207,7 @@ fn remove_left(root: &Path, archive: &Path) -> Result<()> {
     Err(Error::input(root.display(), what, "remove or rename it"))
 }
 
-/// The folder of the scene below `root`: itself, or the only one of the first level that has any. Messages call `root` by `named`.
+/// Returns the folder of the scene: `root`, or the only scene in the first level below it that has any. Messages show `root` as `named`.
 fn scene(archive: &Path, root: &Path, named: &Path, wanted: &Wanted<'_>) -> Result<PathBuf> {
     let mut level = vec![root.to_path_buf()];
     for _ in 0..=MOST_DEPTH {
@@ -244,7 +244,7 @@ fn scene(archive: &Path, root: &Path, named: &Path, wanted: &Wanted<'_>) -> Resu
     Err(Error::input(archive.display(), what, advice))
 }
 
-/// The folders in these folders, in order of their paths.
+/// Subfolders of these folders, sorted by path.
 fn below(folders: &[PathBuf]) -> Vec<PathBuf> {
     let entries = folders.iter().flat_map(|folder| folder.read_dir().into_iter().flatten().flatten());
     let mut below: Vec<PathBuf> =

@@ -46,7 +46,7 @@ impl Collection {
     }
 }
 
-/// True if the files in a folder show a layout of a scene.
+/// True if the files in a folder are those of a scene.
 pub fn is_scene(folder: &Path) -> bool {
     found(folder).is_some()
 }

@@ -15,16 +15,16 @@ use std::{
 };
 use trimip_core::{Error, Result};
 
-/// Millimetres of ARKit's metres.
+/// A millimetre in metres, ARKit's unit.
 const MILLIMETRE: f64 = 1e-3;
 
 /// The range of the sensor of a phone or tablet, metres. Depths beyond it are guessed from the photograph (Polycam's polyform, README).
 const RANGE_OF_ARKIT: f64 = 5.0;
 
-/// What to do with a file that is no depth image.
+/// Advice for a file that is not a depth image.
 const ADVICE: &str = "export it as a PNG of 16-bit grey or as .npy of f4 or f8, or set data.depths = false";
 
-/// Where the depth image of a photograph is, and what its numbers mean.
+/// Path of the depth image of a photograph, and the meaning of its numbers.
 #[derive(Clone, Debug)]
 pub(crate) struct DepthFile {
     path: PathBuf,
@@ -32,18 +32,18 @@ pub(crate) struct DepthFile {
     unit: f64,
     /// Greatest depth that was measured, world units.
     farthest: f64,
-    /// A picture of 8-bit grey that is 0 where a depth is not sure.
+    /// A picture of 8-bit grey that is 0 where a depth is unreliable.
     confidence: Option<PathBuf>,
 }
 
 impl DepthFile {
-    /// A file whose numbers are that many world units.
+    /// A file whose numbers are multiples of `unit` world units.
     pub(crate) fn new(path: &str, unit: f64) -> Self {
         Self { path: path.into(), unit, farthest: f64::INFINITY, confidence: None }
     }
 
-    /// The depth image that ARKit made of a photograph and what tells how sure it is, in two folders below `root`, both called as the
-    /// photograph. `None` if there is none.
+    /// ARKit's depth image of a photograph and its confidence image, in two folders below `root`. Both are named like
+    /// the photograph. `None` if there is no depth image.
     pub(crate) fn of_arkit(root: &Path, folders: [&str; 2], photograph: &Path) -> Option<Self> {
         let name = format!("{}.png", photograph.file_stem()?.to_string_lossy());
         let [path, confidence] = folders.map(|folder| root.join(folder).join(&name));
@@ -51,7 +51,7 @@ impl DepthFile {
         path.is_file().then_some(Self { path, unit: MILLIMETRE, farthest: RANGE_OF_ARKIT, confidence })
     }
 
-    /// The same file, whose path is written from `root`.
+    /// The same file, with its path resolved from `root`.
     pub(crate) fn below(&self, root: &Path) -> Self {
         let written = root.join(&self.path);
         let turned = || root.join(self.path.to_string_lossy().replace('\\', "/"));
@@ -174,7 +174,7 @@ enum Numbers {
 #[derive(Debug)]
 pub(crate) struct Depths {
     numbers: Numbers,
-    /// Not 0 where a depth is sure.
+    /// Not 0 where a depth is reliable.
     trusted: Option<GrayImage>,
     unit: f64,
     farthest: f64,
@@ -186,7 +186,7 @@ impl Depths {
     /// Depth along the optical axis in a pixel, world units; `None` where it is unknown.
     pub(crate) fn at(&self, [x, y]: [u32; 2]) -> Option<f64> {
         let number = match &self.numbers {
-            // The greatest number stands for all that are too great.
+            // The greatest number means that the depth is out of range.
             Numbers::Grey(image) => match image.get_pixel(x, y).0[0] {
                 u16::MAX => return None,
                 number => number.into(),

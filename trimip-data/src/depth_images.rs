@@ -1,5 +1,5 @@
-//! Known depths of the training views from their depth images. Of a dense image a grid of pixels counts: rays of the others would tell
-//! the same surfaces again.
+//! Known depths of the training views from their depth images. Of a dense image only a grid of pixels is used: the rays
+//! of the others would repeat the same surfaces.
 
 use crate::{
     depth_image::{DepthImage, Depths},
@@ -14,8 +14,8 @@ use trimip_core::{
     Error, Result, Scale, ViewSet, geometry::projections::Model, plural::count, scene::depths::KnownDepth,
 };
 
-/// Most pixels of a view that are known at each scale, 64 × 64: the occupancy grid has no more cells across a picture, and these
-/// rays reach the surfaces of all.
+/// Most known pixels of a view at each scale, 64 × 64: the occupancy grid has no more cells across a picture, so these
+/// rays reach the surfaces in all of them.
 const MOST_OF_VIEW: usize = 1 << 12;
 
 /// Most known pixels of a scene, 24 MB.
@@ -24,13 +24,13 @@ const MOST_OF_SCENE: usize = 1 << 21;
 /// Least deviation as a share of the distance: an assumption for the sensors of phones, whose files state none.
 const DEVIATION: f64 = 0.02;
 
-/// Share by which neighbouring depths of one surface differ at most. Depths between two surfaces are on neither.
+/// Largest relative difference between neighbouring depths of one surface. A depth at an edge between two surfaces lies on neither.
 const EDGE: f64 = 0.03;
 
-/// Places on each side of a pixel at which its neighbourhood is looked at, at most.
+/// Most places on each side of a pixel, along each axis, at which its neighbourhood is sampled.
 const MOST_PLACES: u32 = 4;
 
-/// Median depth over the extent of the cameras, outside of which the unit of the depths is in doubt.
+/// Usual ratio of the median depth to the extent of the cameras. Outside of this range, the unit of the depths is in doubt.
 const USUAL: RangeInclusive<f64> = 0.01..=100.0;
 
 /// The depth images of the training views, before they are decoded.
@@ -41,7 +41,7 @@ pub(crate) struct DepthImages {
     warnings: Vec<String>,
 }
 
-/// What depth images tell.
+/// The result of reading all depth images.
 #[derive(Debug, Default)]
 pub(crate) struct Known {
     /// Known depths, sorted by pixel.
@@ -55,7 +55,7 @@ impl DepthImages {
     /// Reads the headers of the depth images of all training frames.
     ///
     /// # Errors
-    /// Of kind `Input`: more than half of the files are missing, or one is no depth image of its photograph.
+    /// Of kind `Input`: more than half of the files are missing, or a file is not a depth image of its photograph.
     pub(crate) fn find(config: &DataConfig, sources: &[Source]) -> Result<Self> {
         let mut warnings = Vec::new();
         let stated = sources.iter().filter(|source| source.depth.is_some()).count();
@@ -96,8 +96,7 @@ impl DepthImages {
         Ok(Self { images, warnings })
     }
 
-    /// Reads the depth images, each for itself, and finds the known depths of the views at all scales of `train`, which are those of
-    /// `sources`.
+    /// Reads the depth images in parallel, and finds the known depths at all scales of `train`, whose views are those of `sources`.
     ///
     /// # Errors
     /// Of kind `Input`, if one cannot be decoded.
@@ -152,7 +151,7 @@ fn is_missing(source: &Source) -> bool {
     source.depth.as_ref().is_some_and(|file| !file.path().is_file())
 }
 
-/// nerfstudio takes the numbers of a fisheye for distances, other programs for depths along the optical axis.
+/// nerfstudio reads the depth images of fisheye lenses as distances, other programs as depths along the optical axis.
 fn is_fisheye(source: &Source) -> bool {
     source.views.iter().any(|(_, camera)| camera.intrinsics.lens.model == Model::Fisheye)
 }
@@ -166,7 +165,7 @@ struct Seen<'a> {
     source: &'a Source,
 }
 
-/// What a depth image tells.
+/// The result of reading one depth image.
 struct OfImage {
     known: Vec<KnownDepth>,
     /// Depths along the optical axis of the chosen pixels, world units.
@@ -174,7 +173,7 @@ struct OfImage {
 }
 
 impl Seen<'_> {
-    /// The known depths of a view: those of `most` pixels of its image at most, at each scale.
+    /// Finds the known depths of a view at each scale, from at most `most` pixels of its image.
     fn of(&self, image: &DepthImage, most: usize) -> Result<OfImage> {
         let depths = image.decode()?;
         let mut found = OfImage { known: Vec::new(), depths: Vec::new() };
@@ -222,8 +221,8 @@ impl Seen<'_> {
     }
 }
 
-/// Pixels of a depth image: of each cell of a grid of at most `most` cells the one nearest to its middle, in order of rows, whose depth is
-/// known and that lies on one surface.
+/// Chooses pixels of a depth image, one in each cell of a grid of at most `most` cells: the first from the middle, in
+/// row order and cyclically, whose depth is known and that lies on one surface.
 fn chosen(depths: &Depths, reach: [u32; 2], most: usize) -> Vec<[u32; 2]> {
     let [width, height] = depths.size;
     let cells = |side: u32| [width.div_ceil(side), height.div_ceil(side)];
@@ -243,7 +242,7 @@ fn chosen(depths: &Depths, reach: [u32; 2], most: usize) -> Vec<[u32; 2]> {
     (0..columns * rows).filter_map(of_cell).collect()
 }
 
-/// True if the depth in a pixel is known, and no known one within `reach` along each axis differs much from it.
+/// True if the depth in a pixel is known, and no known depth within `reach` along each axis differs much from it.
 fn is_smooth(depths: &Depths, [x, y]: [u32; 2], [across, down]: [u32; 2]) -> bool {
     let Some(own) = depths.at([x, y]) else { return false };
     let near = |at: u32, reach: u32, side: u32| {
@@ -255,7 +254,7 @@ fn is_smooth(depths: &Depths, [x, y]: [u32; 2], [across, down]: [u32; 2]) -> boo
     !near(y, down, height).any(|y| near(x, across, width).any(|x| depths.at([x, y]).is_some_and(differs)))
 }
 
-/// A warning if depths are far from the extent of the cameras: their unit is another one than that of the poses.
+/// A warning if depths are far smaller or larger than the extent of the cameras: their unit then differs from that of the poses.
 fn other_unit(mut depths: Vec<f64>, sources: &[Source]) -> Option<String> {
     let places = || sources.iter().filter_map(|source| source.views.first()).map(|(_, camera)| camera.origin);
     let (low, high) = places()
@@ -270,7 +269,7 @@ fn other_unit(mut depths: Vec<f64>, sources: &[Source]) -> Option<String> {
     if USUAL.contains(&times) {
         return None;
     }
-    // Metres and millimetres are mistaken for each other.
+    // The usual mistake is metres for millimetres or the reverse, a power of 1000.
     let likely = 1e3_f64.powi(-(times.log10() / 3.0).round() as i32);
     Some(format!(
         "the median of the depth images is {median:.3e}, which is {times:.1e} times the extent of the cameras: is \

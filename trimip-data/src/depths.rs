@@ -1,5 +1,5 @@
-//! Known depths of the training views: each point that several photographs saw tells the distance at which the rays of some pixels
-//! end. [`depth_images`](crate::depth_images) tell it of others.
+//! Known depths of the training views: each point that several photographs saw gives the distance at which the rays of
+//! some pixels end. [`depth_images`](crate::depth_images) give that of others.
 
 use crate::points::{Observation, Point};
 use glam::DVec3;
@@ -11,13 +11,13 @@ const LEAST_ERROR: f64 = 0.5;
 /// Least sine of the angle between the rays that fix a point.
 const LEAST_SINE: f64 = 1e-3;
 
-/// Distance in pixels of the finest scale within which a view sees a point where it is, or as a multiple of the median of the view:
-/// wrong poses move all of its points.
+/// A view agrees with a point if its reprojection error is within the larger of these: pixels of the finest scale, and
+/// a multiple of the view's median error. Wrong poses move all points of a view.
 const MOST_PIXELS: f64 = 4.0;
 const MOST_TIMES: f64 = 3.0;
 
-/// The pixels of all scales in which sure points were found, sorted. Where a pixel has several points, the nearest counts: it hides
-/// the others. A point counts where at least half of its training views, and at least two, see it where it is.
+/// Known depths of the pixels at all scales in which reliable points were found, sorted by pixel. Where a pixel has several points, the
+/// nearest counts: it hides the others. A point counts if at least half of its training views, and at least two, agree with it.
 pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     let Some(finest) = train.scales.first() else { return Vec::new() };
     let views = &train.views[finest.views.clone()];
@@ -50,7 +50,7 @@ pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     nearest(depths)
 }
 
-/// The known depths that are finite, sorted by pixel; the nearest of each pixel.
+/// Keeps the finite known depths, only the nearest of each pixel, and sorts them by pixel.
 pub(crate) fn nearest(mut depths: Vec<KnownDepth>) -> Vec<KnownDepth> {
     depths.retain(|known| known.distance.is_finite() && known.deviation > 0.0 && known.deviation.is_finite());
     depths.sort_unstable_by(|a, b| {
@@ -71,7 +71,7 @@ fn errors(points: &[Point], views: &[View]) -> Vec<Vec<f64>> {
     points.iter().map(of_point).collect()
 }
 
-/// For each view the greatest error of a point that it sees where it is; `errors` are those of the points' tracks.
+/// For each view, the largest error of a point that it agrees with; `errors` are those of the points' tracks.
 fn limits(points: &[Point], errors: &[Vec<f64>], views: usize) -> Vec<f64> {
     let mut of_view = vec![Vec::new(); views];
     for (seen, &error) in points.iter().zip(errors).flat_map(|(point, errors)| point.track.iter().zip(errors))
@@ -86,7 +86,7 @@ fn limits(points: &[Point], errors: &[Vec<f64>], views: usize) -> Vec<f64> {
             true => 0.0,
             false => *errors.select_nth_unstable_by(middle, f64::total_cmp).1,
         };
-        // A view that sees most points nowhere near has wrong poses.
+        // A view that sees most points nowhere near has a wrong pose.
         if median.is_finite() { MOST_PIXELS.max(MOST_TIMES * median) } else { 0.0 }
     };
     of_view.into_iter().map(limit).collect()
@@ -105,7 +105,7 @@ fn widest_sine(position: DVec3, track: &[Observation], views: &[View]) -> f64 {
     pairs.map(sine).fold(0.0, f64::max)
 }
 
-/// The pixel of a scale in which a feature lies, among all pixels of the set.
+/// Index of the pixel of a scale in which a feature lies, among all pixels of the set.
 pub(crate) fn pixel(train: &ViewSet, scale: &Scale, seen: &Observation) -> Option<u32> {
     let view = train.views[scale.views.clone()].get(seen.view as usize)?;
     let k = &view.camera.intrinsics;
@@ -150,7 +150,7 @@ mod tests {
     fn points_are_known_in_their_pixels_at_every_scale() {
         let own = point(-3.0, &[(0, [4.9, 2.0]), (2, [0.0, 3.5]), (1, [8.0, 0.5])]);
         let found = of_points(&[own], &views());
-        // Row 2, column 4 of view 0; row 3, column 0 of view 2; the feature of view 1 lies beside its picture.
+        // Row 2, column 4 of view 0; row 3, column 0 of view 2; the feature of view 1 lies outside of its picture.
         let pixels: Vec<u32> = found.iter().map(|known| known.pixel).collect();
         assert_eq!(pixels, [2 * 8 + 4, 64 + 3 * 8, 96 + 4 + 2, 96 + 16 + 4]);
         let far = 13.0_f64.sqrt();
@@ -216,7 +216,7 @@ mod tests {
             finest.filter(|own| !known.contains(own)).map(|own| own.pixel / 32).collect::<Vec<_>>()
         };
         assert_eq!(views_of(&[right.clone(), vec![at(place, &once)]].concat()), [0, 2]);
-        // All points of a view of a wrong pose lie beside it: they still tell.
+        // All features of view 0 are shifted, as by a wrong pose: they still count.
         let turned = right.iter().cloned().map(|mut point| {
             point.track[0].at[0] -= 4.5;
             point

@@ -22,7 +22,7 @@ pub(crate) enum Selection {
     All,
     Train,
     Test,
-    /// The frames of a list, and how many frames are in none.
+    /// The frames of a list, and the number of frames in no list.
     Listed(Vec<usize>, usize),
 }
 
@@ -45,7 +45,7 @@ impl Selection {
         })
     }
 
-    /// What may be wrong with the choice.
+    /// A warning about frames that are in no list.
     pub(crate) fn warning(&self, file: &Path) -> Option<String> {
         match self {
             Selection::Listed(_, left) if *left > 0 => {

@@ -1,4 +1,4 @@
-//! Files of a scene: where they lie, and their bytes.
+//! Files of a scene: their paths, and their bytes.
 
 use std::{
     fs,
@@ -16,7 +16,7 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     })
 }
 
-/// The first of several places below a folder at which there is a file.
+/// The first of several paths below a folder that is a file.
 pub(crate) fn first(root: &Path, places: &[&str]) -> Option<PathBuf> {
     places.iter().map(|place| root.join(place)).find(|path| path.is_file())
 }

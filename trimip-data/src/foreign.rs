@@ -1,5 +1,5 @@
-//! Photographs in formats that are not read: told by their first bytes, or by the ends of their names, with what converts
-//! them to PNG or JPEG.
+//! Photographs in formats that are not read: recognised by their first bytes, or by the ends of their names, with the
+//! command that converts them to PNG or JPEG.
 
 use std::{
     fs::File,
@@ -41,7 +41,7 @@ impl Foreign {
         [&HEIC, &AVIF].contains(&self)
     }
 
-    /// What to do with such a file.
+    /// Advice on converting such a file.
     pub fn remedy(&self, path: &Path) -> String {
         let shown = |path: &Path| path.display().to_string();
         let command =
@@ -62,7 +62,7 @@ pub(crate) fn is_raw(path: &Path) -> bool {
     of_name(path) == Some(&RAW)
 }
 
-/// The file of another format that lies where `path` is missing: the same name but for the extension.
+/// The file next to the missing `path` in a format that is not read: its name differs in the extension only.
 pub(crate) fn beside(path: &Path) -> Option<(PathBuf, &'static Foreign)> {
     let (named, stem) = (path.file_name()?, path.file_stem()?);
     let mut found: Vec<_> = path

@@ -1,6 +1,6 @@
-//! Readers of a scene's files from bytes in memory, each without the others: what a program without a file system needs, and
-//! what can be tried with any bytes. COLMAP models have [`Model::parse`](crate::colmap::Model::parse). `name` names the file
-//! in errors, which are of kind `Input` and state the place.
+//! Readers of single files of a scene from bytes in memory, for programs without a file system and for tests with
+//! arbitrary bytes. COLMAP models have [`Model::parse`](crate::colmap::Model::parse). `name` names the file in errors,
+//! which are of kind `Input` and state the place.
 
 use crate::{
     mask, photograph, ply,
@@ -21,7 +21,7 @@ pub fn camera_files() -> impl Iterator<Item = &'static CameraFile> {
 /// Short names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
 ///
 /// # Errors
-/// Syntax, and what is missing or out of range.
+/// Invalid syntax, and values that are missing or out of range.
 pub fn transforms(name: &str, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(String, Camera)>> {
     blender::cameras(Path::new(name), bytes, size)
 }
@@ -34,10 +34,10 @@ pub fn metadata(name: &str, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
     multiscale::cameras(Path::new(name), bytes)
 }
 
-/// The vertices of a PLY file, ASCII or binary. Those with a number that is not finite are left out.
+/// The vertices of a PLY file, ASCII or binary. Vertices whose position is not finite are left out.
 ///
 /// # Errors
-/// A header without vertices or formats, numbers that are missing or are none.
+/// A header without vertices or format, and numbers that are missing or malformed.
 pub fn ply(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     ply::points(name, bytes)
 }
@@ -51,7 +51,7 @@ pub fn photograph(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
     Ok((image.width(), image.height(), image.into_rgba8().into_raw()))
 }
 
-/// Width, height and kept share of each pixel of a mask, of the same formats, whose white is kept.
+/// Width, height and kept share of each pixel of a mask, in the formats of [`photograph`]. White is kept.
 ///
 /// # Errors
 /// As [`photograph`].
@@ -63,7 +63,7 @@ pub fn mask(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
 /// Paths and sizes of the files of a zip archive, each of which is read to its end. At most 64 MiB are unpacked.
 ///
 /// # Errors
-/// An archive that is broken or not to be trusted.
+/// An archive that is broken or unsafe.
 pub fn archive(name: &str, bytes: &[u8]) -> Result<Vec<(String, u64)>> {
     let limits = Limits { bytes: 64 << 20, ratio: 0, ..Limits::USUAL };
     let zip = Zip::open(&name, bytes, bytes.len() as u64, &limits)?;

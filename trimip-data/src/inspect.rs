@@ -1,4 +1,4 @@
-//! What is known about a scene without training: the longer report of `data inspect`.
+//! The longer report of `data inspect`: everything that is known about a scene without training.
 
 use crate::{
     describe, lens,
@@ -19,7 +19,7 @@ pub struct Inspection {
     pub lines: Vec<String>,
 }
 
-/// Everything that is known about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
+/// Returns everything that is known about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
 ///
 /// # Errors
 /// As [`open`](crate::open).

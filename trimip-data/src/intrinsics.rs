@@ -50,16 +50,16 @@ impl Size {
 
 /// A photograph that was compared with the intrinsics that a file states for it.
 pub(crate) struct Fitted {
-    /// Turned to the stated size, if only then it has it.
+    /// Turned, if it has the stated size only when turned.
     pub(crate) image: Photograph,
-    /// In the size of the photograph.
+    /// At the size of the photograph.
     pub(crate) intrinsics: Intrinsics,
     /// Pixels of the photograph per stated pixel, along x and y.
     pub(crate) factors: [f64; 2],
 }
 
-/// Compares a photograph with the intrinsics that a file states for it. Where the photograph has another size but the same shape, up to
-/// rounding, focal lengths and principal point are scaled along.
+/// Compares a photograph with the intrinsics that a file states for it. Where the photograph has another size but the
+/// same shape, up to rounding, focal lengths and principal point are scaled with it.
 ///
 /// # Errors
 /// Of kind `Input`: the photograph has another shape.
@@ -76,7 +76,7 @@ pub(crate) fn fitted(image: Photograph, stated: Intrinsics) -> Result<Fitted> {
     Ok(Fitted { image, intrinsics, factors })
 }
 
-/// True if a picture of the size `sizes` has the shape of one of the size `own`, up to rounding.
+/// True if the sizes `sizes` and `own` have the same aspect ratio, up to rounding.
 pub(crate) fn alike(sizes: [u32; 2], own: [u32; 2]) -> bool {
     // The factors that round to each side.
     let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
@@ -154,7 +154,7 @@ fn focal(model: Model, node: &Node<'_>, width: u32, height: u32) -> Result<Optio
     Ok(x.or(y).map(|x| (x, y.unwrap_or(x))))
 }
 
-/// Refuses a focal length that is none, of the key that states it.
+/// Refuses a focal length that is not positive and finite; `key` is the key that states it.
 fn positive(node: &Node<'_>, key: &str, stated: f64, focal: f64) -> Result<f64> {
     if focal.is_finite() && focal > 0.0 {
         return Ok(focal);

@@ -32,7 +32,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
     })
 }
 
-/// The word at which a parser stopped, if Python writes it for a number that is not finite.
+/// The word at which the parser stopped, if it is a number that is not finite, such as Python's NaN and Infinity.
 fn not_a_number(bytes: &[u8], line: usize, column: usize) -> Option<String> {
     let line = bytes.split(|&byte| byte == b'\n').nth(line.checked_sub(1)?)?;
     let is_word = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-.".contains(byte);
@@ -92,7 +92,7 @@ impl<'a> Node<'a> {
             .transpose()
     }
 
-    /// The number under a key, or that in the text under it; `None` if it is absent or null.
+    /// The number under a key, also if it is written as a text; `None` if it is absent or null.
     pub(crate) fn number_or_text(&self, key: &str) -> Result<Option<f64>> {
         let number = self.get(key).and_then(|value| value.as_str()?.trim().parse().ok());
         match number.filter(|value: &f64| value.is_finite()) {

@@ -1,4 +1,4 @@
-//! The layout of a scene folder: which reader has it, what is to be told where none has, and its frames by split.
+//! The layout of a scene folder: the reader that recognises it, the error where none does, and its frames by split.
 
 use crate::settings::DataConfig;
 use crate::{
@@ -14,7 +14,7 @@ use crate::{
 use std::{borrow::Cow, path::Path};
 use trimip_core::{Error, Result};
 
-/// The value of `data.format` by which the files of a folder choose.
+/// The value of `data.format` for which the files of a folder choose the reader.
 const AUTO: &str = "auto";
 
 /// A scene, opened by its reader.
@@ -35,7 +35,7 @@ impl Layout {
         self.scene.split(split)
     }
 
-    /// True unless the folder is known to have no such split; the others tell when it is read.
+    /// True unless the folder is known to have no such split. Other missing splits are found when they are read.
     pub(crate) fn has_split(&self, split: &str) -> Result<bool> {
         self.scene.has_split(split)
     }
@@ -51,7 +51,7 @@ impl Layout {
     }
 
     /// All frames from which a list of test frames chooses: those of the file without splits, or those of the splits
-    /// `train` and `test`.
+    /// `data.train` and `data.test`.
     pub(crate) fn listable(&self, config: &DataConfig) -> Result<Vec<Split>> {
         if !self.reader.divisible {
             let others = READERS.iter().filter(|reader| reader.divisible);
@@ -83,7 +83,7 @@ impl Layout {
     }
 }
 
-/// The settings with the folder of the scene in place of its archive, and what was unpacked where.
+/// The settings with the folder of the scene in place of its archive, and a note about the unpacked files.
 pub(crate) fn unpacked(config: &DataConfig) -> Result<(Cow<'_, DataConfig>, Option<String>)> {
     let named = named(config)?;
     let root = Path::new(&config.root);
@@ -103,7 +103,7 @@ pub(crate) fn unpacked(config: &DataConfig) -> Result<(Cow<'_, DataConfig>, Opti
     Ok((Cow::Owned(DataConfig { root, ..config.clone() }), Some(unpacked.note)))
 }
 
-/// The reader that `data.format` names; `None` if the files of a folder choose.
+/// The reader that `data.format` names; `None` if the files of a folder choose it.
 fn named(config: &DataConfig) -> Result<Option<&'static Reader>> {
     match config.format.as_str() {
         AUTO => Ok(None),

@@ -15,7 +15,7 @@ pub fn lens_of(place: &str, file: &Value, frame: &Value) -> Result<Lens> {
     read(&Node::new(place, file)?, &Node::new(place, frame)?)
 }
 
-/// Camera model and coefficients of a lens as [`lens_of`] reads them, without those that are 0; none for a pinhole.
+/// Camera model and coefficients of a lens as [`lens_of`] reads them, without those that are 0; `None` for a pinhole.
 pub fn lens_terms(lens: &Lens) -> Option<(&'static str, Vec<(&'static str, f64)>)> {
     if lens.is_straight() {
         return None;
@@ -65,7 +65,7 @@ pub(crate) fn described(lens: &Lens) -> Option<String> {
 pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
     let mut terms = [0.0; 10];
     for (term, key) in terms.iter_mut().zip(TERMS) {
-        // nerfstudio's importer of RealityCapture writes texts.
+        // nerfstudio's importer of RealityCapture writes numbers as texts.
         *term = frame.number_or_text(key)?.or(file.number_or_text(key)?).unwrap_or(0.0);
     }
     let [k1, k2, k3, k4, k5, k6, p1, p2, s1, s2] = terms;

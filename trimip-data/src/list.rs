@@ -1,5 +1,5 @@
-//! The list of test frames (`data.test_list`): a text file with one image name a line, in whatever way people write it. Empty
-//! lines and lines that begin with # are left out.
+//! The list of test frames (`data.test_list`): a text file with one image name per line, in any way that [`Index`]
+//! finds. Empty lines and lines that begin with # are skipped.
 
 use crate::{
     names::{Index, Match},
@@ -51,7 +51,7 @@ fn written(root: &Path, source: &Source) -> String {
     path.strip_prefix(root).unwrap_or(path).to_string_lossy().into_owned()
 }
 
-/// The first of several names.
+/// The first of several names, in words.
 fn some(names: &[&str]) -> String {
     let shown: Vec<String> =
         names.iter().take(MOST_NAMED).map(|name| name.chars().take(80).collect()).collect();

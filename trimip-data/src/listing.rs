@@ -1,5 +1,5 @@
-//! Frames that a file lists with their cameras, as other programs export them. Their photographs are found when the file is opened, and
-//! measured against the cameras when a split is read.
+//! Frames that a file lists with their cameras, as other programs export them. Their photographs are found when the
+//! file is opened, and compared with the cameras when a split is read.
 
 use crate::{
     depth_image::DepthFile,
@@ -48,7 +48,7 @@ pub(crate) enum Calibration {
 }
 
 impl Calibration {
-    /// The intrinsics of photographs of that size, if no size is stated.
+    /// The intrinsics; photographs have the size `[width, height]` if none is stated.
     fn intrinsics(&self, [width, height]: [u32; 2]) -> Intrinsics {
         match *self {
             Calibration::Sized(intrinsics) => intrinsics,
@@ -80,7 +80,7 @@ pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3
     (DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), -(to_world * translation))
 }
 
-/// All frames of a scene whose photographs are there; every 8th is the test split, unless the file divides them.
+/// All frames of a scene whose photographs exist; every 8th is the test split, unless the file divides them.
 pub(crate) struct Listing {
     file: PathBuf,
     frames: Vec<(Frame, PathBuf)>,
@@ -88,13 +88,13 @@ pub(crate) struct Listing {
     depths: Vec<Option<DepthFile>>,
     names: Vec<String>,
     scales: u32,
-    /// What the file states beside frames; given to the first split that is read.
+    /// Metadata of the file, given to the first split that is read.
     facts: Cell<Split>,
 }
 
 impl Listing {
-    /// The frames of `file` in the folder of a scene, without those whose photographs were deleted. `facts` is what the file states beside
-    /// them: a split without frames, whose box lies around its points if it states none.
+    /// The frames of `file` in the folder of a scene, without those whose photographs are missing. `facts` is the other
+    /// metadata of the file, as a split without frames. If it states no box, the box lies around its points.
     ///
     /// # Errors
     /// Of kind `Input`: there is no frame, more than half of the photographs are missing, or `data.images` is no folder.

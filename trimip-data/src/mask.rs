@@ -6,10 +6,10 @@ use image::{DynamicImage, ImageBuffer, Luma, Rgb};
 use std::path::PathBuf;
 use trimip_core::{Error, Result};
 
-/// Greatest distance from black or white that the compression of a JPEG makes of it, of 255.
+/// Greatest deviation from black or white that the compression of a JPEG causes, of 255.
 const TRACES: u8 = 24;
 
-/// What is not kept.
+/// Meaning of pixels that are not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// Empty space: the mask is the photograph's alpha.
@@ -65,8 +65,8 @@ impl Mask {
         self.white
     }
 
-    /// Puts the mask into the alpha of straight pixels, row by row. Pixels of which nothing is kept lose their colour: it
-    /// is the background's, and would count in means of straight colours.
+    /// Multiplies the alpha of straight pixels by the mask, row by row. Pixels of which nothing is kept become black:
+    /// their colour is that of the background, and would count in means of straight colours.
     ///
     /// # Errors
     /// If the mask cannot be decoded.
@@ -89,8 +89,8 @@ pub(crate) fn kept(image: DynamicImage) -> Vec<u8> {
     fractions(image, true, Role::Object)
 }
 
-/// A mask that was stored as a JPEG, whose greys near black and white are traces of its compression; where grey has no meaning,
-/// what is darker than half is black.
+/// Sharpens a mask that was stored as a JPEG: greys near black and white are traces of its compression. Where grey has
+/// no meaning, values below half are black and others white.
 fn sharpened(image: DynamicImage, role: Role) -> DynamicImage {
     let (black, white) = if role == Role::Ignore { (127, 128) } else { (TRACES, 255 - TRACES) };
     let image = image.into_rgb8();

@@ -1,5 +1,5 @@
-//! The masks of a scene: where they are found, what they mean, and what is remarkable about them. A mask is stated by its
-//! frame (`mask_path`, nerfstudio), has the place of its photograph in a folder (COLMAP), or lies beside it (Instant-NGP).
+//! The masks of a scene: where they are found, their meaning, and warnings about them. A mask is stated by its frame (`mask_path`,
+//! nerfstudio), has the path of its photograph in a folder of masks (COLMAP), or lies next to its photograph (Instant-NGP).
 
 use crate::settings::{DataConfig, MaskKeeps, MaskRole};
 use crate::{
@@ -14,13 +14,13 @@ use std::{
 };
 use trimip_core::{Alpha, Error, Result, ViewSet, plural::count};
 
-/// The folder that is looked into if none is named.
+/// The folder that is searched if none is named.
 const FOLDER: &str = "masks";
 
 /// The value of `data.masks` for no masks.
 const NONE: &str = "none";
 
-/// How a mask was found, which tells what it means.
+/// How a mask was found, which decides its meaning.
 #[derive(Clone, Copy, PartialEq)]
 enum Kind {
     Stated,
@@ -47,10 +47,10 @@ impl Kind {
     }
 }
 
-/// Finds the masks of all frames and gives them to their sources. Returns what alpha means in the set.
+/// Finds the masks of all frames and stores them in their sources. Returns the meaning of alpha in the set.
 ///
 /// # Errors
-/// If a mask that is named is missing, has another size, belongs to two photographs, or means something else than another.
+/// If a stated mask is missing, or a mask has another size, belongs to two photographs, or has another role than the others.
 pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<Alpha> {
     let straight = Alpha::from(config.convention);
     let named = !["", NONE].contains(&config.masks.as_str());
@@ -89,7 +89,7 @@ pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<A
     Ok(alpha)
 }
 
-/// Refuses a mask of a folder that would be that of two photographs. A photograph may be in several splits.
+/// Refuses a mask of a folder that two photographs would share. One photograph may be in several splits.
 fn unshared(sources: &[&mut Source], found: &[Option<(Kind, Mask)>]) -> Result<()> {
     let mut known: HashMap<&Path, &Photograph> = HashMap::new();
     for (source, found) in sources.iter().zip(found) {
@@ -106,7 +106,7 @@ fn unshared(sources: &[&mut Source], found: &[Option<(Kind, Mask)>]) -> Result<(
     Ok(())
 }
 
-/// Where masks are looked for.
+/// The places that are searched for masks.
 struct MaskSearch<'a> {
     config: &'a DataConfig,
     root: &'a Path,
@@ -142,8 +142,8 @@ impl MaskSearch<'_> {
         Ok(beside.map(|path| (Kind::Dynamic, path)))
     }
 
-    /// Files of the folder that would be the mask: in the photograph's subfolder, or in fewer of its levels; by its whole
-    /// name and by the name without extension, with any ending of a picture, PNG first.
+    /// Files of the folder that may be the mask. Folders: the photograph's subfolder, then the same without its outer
+    /// levels. Names: the photograph's, with and without its extension, plus any ending of a picture, PNG first.
     fn candidates(&self, photograph: &Photograph) -> Vec<PathBuf> {
         let Some(folder) = self.folder else { return Vec::new() };
         let parts = below(&photograph.path, self.root);
@@ -188,20 +188,20 @@ fn below(path: &Path, root: &Path) -> Vec<String> {
         match part {
             Component::Normal(part) => named.push(part.to_string_lossy().into_owned()),
             Component::CurDir => {}
-            // What lies above is not the path to a mirrored folder.
+            // Parts before a `..` or a root are not mirrored in the folder of masks.
             _ => named.clear(),
         }
     }
     named
 }
 
-/// Instant-NGP's mask beside a photograph.
+/// Instant-NGP's mask next to a photograph.
 fn dynamic(photograph: &Photograph) -> Option<PathBuf> {
     let stem = photograph.path.file_stem()?.to_string_lossy();
     Some(photograph.path.with_file_name(format!("dynamic_mask_{stem}.png")))
 }
 
-/// A warning if some of the photographs have no mask, or none has one of a folder that is there.
+/// A warning if some of the photographs have no mask, or if the folder of masks exists but has none of any photograph.
 pub(crate) fn missing(config: &DataConfig, sources: &[&Source]) -> Option<String> {
     let (all, without): (usize, Vec<&&Source>) =
         (sources.len(), sources.iter().filter(|source| source.mask.is_none()).collect());
@@ -242,18 +242,18 @@ pub(crate) fn described(sources: &[Source], set: &ViewSet) -> Option<String> {
     ))
 }
 
-/// Kept shares of a view, in [0, 1].
+/// Shares of a view that its mask keeps, in [0, 1].
 struct Kept {
     all: f64,
-    /// Of a frame of one twentieth of the sides, and of the middle third of rows and columns.
+    /// Share of a border of one twentieth of the sides; `centre` is that of the middle third of rows and columns.
     border: f64,
     centre: f64,
 }
 
-/// Border and centre of views of which the mask is probably inverted: more of one and less of the other.
+/// Masks are probably inverted if they keep more than the first share of the border and less than the second of the centre.
 const INVERTED: [f64; 2] = [0.75, 0.5];
 
-/// Share of kept pixels below which masks of what is ignored are probably inverted.
+/// Masks of ignored pixels are probably inverted if they keep less than this share.
 const LITTLE: f64 = 0.1;
 
 /// Warnings about masks that keep all or nothing, or the wrong part.

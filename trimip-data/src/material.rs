@@ -1,4 +1,4 @@
-//! What a folder without a scene holds to make one of: photographs, films, archives, a database of COLMAP.
+//! The files in a folder without a scene from which one can be made: photographs, films, archives, a database of COLMAP.
 
 use crate::{
     foreign::{self, Foreign},
@@ -8,7 +8,7 @@ use crate::{
 };
 use std::path::{Path, PathBuf};
 
-/// How deep below the folder is looked, and at how many files.
+/// Most levels below the folder that are searched, and most files.
 const MOST_DEPTH: usize = 3;
 const MOST_FILES: usize = 100_000;
 
@@ -22,14 +22,14 @@ const NO_PHOTOGRAPHS: [&str; 3] = ["mask", "depth", "confidence"];
 /// File in which COLMAP keeps features and matches.
 const DATABASE: &str = "database.db";
 
-/// The files in a folder and below it that a scene can be made of, each kind in the order of levels and paths.
+/// The files in a folder and below it from which a scene can be made, each kind in the order of levels and paths.
 #[derive(Default)]
 pub struct Material {
     /// The first folder below with a scene.
     pub scene: Option<PathBuf>,
-    /// Photographs in formats that are read, by their names.
+    /// Photographs in formats that are read, as their names say.
     pub pictures: Vec<PathBuf>,
-    /// Photographs in formats that have to be converted first, by their names.
+    /// Photographs in formats that have to be converted first, as their names say.
     pub foreign: Vec<(PathBuf, &'static Foreign)>,
     /// Films.
     pub films: Vec<PathBuf>,
@@ -42,12 +42,12 @@ pub struct Material {
 }
 
 impl Material {
-    /// What is in a folder. Folders of masks and depth images are left out.
+    /// Lists such files of a folder. Folders of masks and depth images are left out.
     pub fn of(root: &Path) -> Self {
         Self::called(root, root)
     }
 
-    /// What is in `root`, with paths below `named`.
+    /// As [`of`](Self::of) for `root`, with paths below `named`.
     pub(crate) fn called(root: &Path, named: &Path) -> Self {
         let called =
             |path: PathBuf| path.strip_prefix(root).map_or_else(|_| path.clone(), |below| named.join(below));
@@ -82,7 +82,7 @@ impl Material {
         content
     }
 
-    /// True if there is anything to begin with.
+    /// True if there is a scene, a photograph or a film.
     pub fn is_any(&self) -> bool {
         self.scene.is_some()
             || !(self.pictures.is_empty() && self.foreign.is_empty() && self.films.is_empty())
@@ -108,7 +108,7 @@ impl Material {
     }
 }
 
-/// True for a path that is called as a film is.
+/// True for a path with the ending of a film.
 pub fn is_film(path: &Path) -> bool {
     FILMS.contains(&ending(path).as_str())
 }

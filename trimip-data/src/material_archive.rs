@@ -1,4 +1,4 @@
-//! Archives of photographs or films, which are no scenes yet.
+//! Archives of photographs or films without cameras.
 
 use crate::{
     archive::{self, Wanted},
@@ -8,11 +8,12 @@ use crate::{
 use std::path::{Path, PathBuf};
 use trimip_core::Result;
 
-/// Unpacks an archive of photographs or of a film, unless that was done before, as an archive of a scene is unpacked: into a folder
-/// beside it. Returns the folder, and what was unpacked where in words.
+/// Unpacks an archive of photographs or of a film to a folder next to it, unless this folder exists already, as for an
+/// archive of a scene. Returns the folder, and a note about the unpacked files.
 ///
 /// # Errors
-/// Of kind `Input`: an archive that is broken, not to be trusted or holds nothing of this, and a folder that cannot be written or is another's.
+/// Of kind `Input`: an archive that is broken, unsafe or holds no such files, and a folder that cannot be written or
+/// that was not made from this archive.
 pub fn unpack_material(archive: &Path) -> Result<(PathBuf, String)> {
     let is_scene = |folder: &Path| found(folder).is_some() || Material::of(folder).is_any();
     let unpacked =

@@ -1,11 +1,11 @@
-//! Names of images: how files, lists and people write the same one, and short names for pictures that stay unique.
+//! Names of images: finding one image by the different names that files, lists and users write, and short unique names for pictures.
 
 use std::{collections::HashMap, path::Path};
 
 /// Endings of photographs.
 pub(crate) const ENDINGS: [&str; 7] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"];
 
-/// True if a path ends as a photograph does and is not hidden: macOS puts `._1.jpg` beside `1.jpg` on other file systems.
+/// True if a path ends as a photograph does and is not hidden: macOS puts `._1.jpg` next to `1.jpg` on other file systems.
 pub(crate) fn is_picture(path: &Path) -> bool {
     let name = path.to_string_lossy().to_lowercase();
     !is_hidden(path) && ENDINGS.iter().any(|end| name.ends_with(end))
@@ -31,8 +31,8 @@ pub(crate) fn stem(named: &str) -> String {
     key.rsplit('/').next().unwrap_or(&key).to_string()
 }
 
-/// A name for the pictures of each image: its stem; where stems are shared, its path below the folder of all images, with a
-/// number where these are shared too.
+/// A unique name for the pictures of each image: its stem. If any two stems are equal, all names are paths below the
+/// folder of all images, with a number where these are equal too.
 pub(crate) fn unique<T: AsRef<str>>(images: &[T]) -> Vec<String> {
     let stems: Vec<String> = images.iter().map(|image| stem(image.as_ref())).collect();
     let mut counts: HashMap<&str, usize> = HashMap::new();
@@ -64,7 +64,7 @@ fn shared_folder(keys: &[String]) -> usize {
     ends.take_while(|&end| others.iter().all(|key| key.starts_with(&first[..end]))).last().unwrap_or(0)
 }
 
-/// Finds images by what people write for them.
+/// Finds images by the names that users write.
 pub(crate) struct Index {
     keys: Vec<String>,
     /// Images by their stem.
@@ -89,7 +89,7 @@ impl Index {
         Self { keys, stems }
     }
 
-    /// The image of that path; otherwise the only one whose path ends so, or that the written path ends with.
+    /// The image with the path `written`. Otherwise the only image whose path ends with `written`, or whose path `written` ends with.
     pub(crate) fn find(&self, written: &str) -> Match {
         let written = key(written);
         let near = self.stems.get(&stem(&written)).map_or(&[][..], Vec::as_slice);

@@ -1,5 +1,5 @@
-//! Tables of numbers in NumPy's format of files (`numpy.lib.format`, versions 1 to 3): f4 and f8, little- and big-endian, by rows
-//! or by columns.
+//! Tables of numbers in NumPy's file format (`numpy.lib.format`, versions 1 to 3): f4 and f8, little- and big-endian,
+//! by rows or by columns.
 
 use trimip_core::{Error, Result};
 
@@ -37,7 +37,7 @@ pub(crate) struct Table {
 }
 
 impl Table {
-    /// The table in the bytes of a file, also of a shape with a third side of 1.
+    /// Reads the table in the bytes of a file, whose shape may have a third side of 1.
     ///
     /// # Errors
     /// Of kind `Input`: another format, kind of numbers or shape; a file of another length.
@@ -62,7 +62,7 @@ impl Table {
     }
 }
 
-/// Bytes in which the header of a file lies.
+/// Bytes from the start of a file that hold its header.
 pub(crate) const HEAD: u64 = 1 << 17;
 
 /// A number of four or eight bytes, the highest first if it is `big`.

@@ -1,4 +1,4 @@
-//! Files of numbers between blanks, such as matrices and trajectories.
+//! Files of numbers separated by blanks, such as matrices and trajectories.
 
 use std::path::Path;
 use trimip_core::{Error, Result, text};

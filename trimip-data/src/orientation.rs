@@ -1,20 +1,20 @@
-//! EXIF orientation: whether a photograph's cameras are for its pixels as stored, or turned as its tag says. The stated size
-//! decides; where it does not, pixels are used as stored, as COLMAP, nerfstudio and Instant-NGP do.
+//! EXIF orientation: whether the camera of a photograph is for its pixels as stored, or as turned by its tag. The
+//! stated size decides; where it cannot, pixels are used as stored, as in COLMAP, nerfstudio and Instant-NGP.
 
 use image::metadata::Orientation;
 
-/// What is known about the orientation of a photograph.
+/// The orientation of a photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Turn {
-    /// There is no tag, or the stated size excludes what it asks for.
+    /// There is no tag, or the turned photograph would not have the stated size.
     Stored,
-    /// There is a tag, and no size tells whether the cameras know it. It is not applied.
+    /// There is a tag, and the stated size fits the photograph both as stored and as turned. The tag is not applied.
     Doubtful,
     /// The stated size is that of the turned photograph: the tag is applied.
     Applied(Orientation),
 }
 
-/// The rule, for a photograph of `stored` pixels with a tag: of a size of which `width` and `height` are stated.
+/// Decides for a photograph of `stored` pixels with a tag; `width` and `height` are the stated size, as far as it is stated.
 pub(crate) fn decide(stored: (u32, u32), tag: Orientation, width: Option<u32>, height: Option<u32>) -> Turn {
     let fits =
         |(w, h): (u32, u32)| width.is_none_or(|width| width == w) && height.is_none_or(|height| height == h);
@@ -25,7 +25,7 @@ pub(crate) fn decide(stored: (u32, u32), tag: Orientation, width: Option<u32>, h
     }
 }
 
-/// Size of a photograph once it is turned.
+/// Size of a photograph after it is turned.
 pub(crate) fn turned((width, height): (u32, u32), tag: Orientation) -> (u32, u32) {
     use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
     match tag {

@@ -1,5 +1,5 @@
 //! Image files: size from the header, pixels as 8-bit RGBA. 16 bits are rounded to the nearest 8, grey is replicated,
-//! palettes are looked up, missing alpha is 1. Floats are refused, whose range nothing states.
+//! palettes are looked up, missing alpha is 1. Floating-point pixels are refused, since no file states their range.
 
 use crate::{
     foreign,
@@ -18,14 +18,14 @@ use trimip_core::{Error, Result, memory::available_memory};
 /// Largest number of pixels of an image (1 GiB of RGBA): more than any photograph, and addressable everywhere.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// Bytes of memory for each pixel of an image that is decoded and averaged: RGBA, and a quarter of a pixel in f32; the
-/// decoder's own pixels are there before the latter. Half a byte more for the coarser levels.
+/// Bytes of memory for each pixel of an image that is decoded and averaged: 4 for RGBA, 4 for a quarter of the pixels
+/// in f32, and half a byte for the coarser levels. The decoder's own pixels are freed before the averages are made.
 const BYTES_OF_A_PIXEL: u64 = 9;
 
 /// Bytes of a pixel while it is decoded: four channels of 16 bits.
 const MOST_BYTES_OF_A_PIXEL: u64 = 8;
 
-/// Memory that a TIFF file may take beside its pixels, for tiles that are larger than it.
+/// Memory that a TIFF file may take in addition to its pixels, for tiles larger than the image, bytes.
 const BESIDE: u64 = 16 << 20;
 
 /// An image file and its header.
@@ -34,15 +34,15 @@ pub(crate) struct Photograph {
     pub(crate) path: PathBuf,
     /// The entry that names the image, for errors: `file: frame 17 (./train/r_17)`.
     pub(crate) place: String,
-    /// Size once it is turned.
+    /// Size after `turn` is applied.
     pub(crate) width: u32,
     pub(crate) height: u32,
-    /// Its EXIF orientation, and what follows from it.
+    /// Its EXIF orientation; `turn` says whether it is applied.
     tag: Orientation,
     pub(crate) turn: Turn,
     /// Channels and bits of its pixels.
     pub(crate) color: ColorType,
-    /// True if its pixels are near what was stored: the file is a JPEG.
+    /// True for a JPEG, whose pixels only approximate the original ones.
     pub(crate) lossy: bool,
 }
 
@@ -87,7 +87,7 @@ impl Photograph {
         self.color.has_alpha()
     }
 
-    /// Turns the photograph as its EXIF orientation says if only then it has the stated size, as far as one is stated.
+    /// Applies the EXIF orientation if the photograph has the stated size only when it is turned. A side that is `None` fits any length.
     pub(crate) fn fit(mut self, width: Option<u32>, height: Option<u32>) -> Self {
         self.turn = orientation::decide((self.width, self.height), self.tag, width, height);
         if let Turn::Applied(tag) = self.turn {
@@ -126,7 +126,7 @@ impl Photograph {
         Ok(self.image()?.into_rgba8().into_raw())
     }
 
-    /// Decodes to width·height pixels of whatever kind.
+    /// Decodes to width·height pixels of the file's own kind.
     pub(crate) fn image(&self) -> Result<DynamicImage> {
         let bytes = fs::read(&self.path).map_err(|error| undecodable(&self.place, &self.path, &error))?;
         self.decoded(&bytes)

@@ -1,5 +1,5 @@
-//! Where the photographs of a scene lie. Entries name them by a path, which is often that of another machine, of another ending
-//! (`.jpg` for `.JPG`), or of a folder of which only a smaller copy is there (`images` for `images_4`).
+//! Finds the photographs of a scene. The path in an entry is often that of another machine, has another ending (`.jpg`
+//! for `.JPG`), or names a folder of which only a reduced copy exists (`images` for `images_4`).
 
 use crate::{foreign, names};
 use std::{
@@ -9,14 +9,14 @@ use std::{
 };
 use trimip_core::{Error, Result, plural::count};
 
-/// How deep below the scene's folder photographs are looked for, and how many files are looked at.
+/// Most levels below the scene's folder that are searched for photographs, and most files.
 const MOST_DEPTH: usize = 5;
 const MOST_FILES: usize = 200_000;
 
 /// Beginnings of the names of folders whose pictures are no photographs.
 const OTHERS: [&str; 7] = ["mask", "depth", "normal", "semantic", "segment", "confidence", "."];
 
-/// Names of folders that divide photographs: a photograph of one is none of another.
+/// Names of folders of splits: a photograph of one split never replaces one of another.
 const SPLITS: [&str; 5] = ["train", "val", "valid", "test", "eval"];
 
 /// The usual folders of photographs.
@@ -26,9 +26,9 @@ const USUAL: [&str; 7] = ["images", "image", "rgb", "input", "frames", "photos",
 pub(crate) struct Pictures {
     /// The folder from which entries name them.
     folder: PathBuf,
-    /// The folder in which they are looked for where that has none.
+    /// The folder that is searched for photographs that `folder` does not have.
     root: PathBuf,
-    /// All pictures below it, listed when the first is not where its entry says.
+    /// All pictures below `root`, listed when the first photograph is not where its entry says.
     listed: OnceLock<List>,
 }
 
@@ -57,20 +57,20 @@ pub(crate) struct Location {
 }
 
 impl Pictures {
-    /// Those below a folder, from which entries name them.
+    /// The pictures below a folder; the paths of entries are relative to it.
     pub(crate) fn new(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
         Self { folder: root.clone(), root, listed: OnceLock::new() }
     }
 
-    /// Those below `root`, where entries name them from `folder`.
+    /// The pictures below `root`; the paths of entries are relative to `folder`.
     pub(crate) fn named_from(folder: &Path, root: &Path) -> Self {
         Self { folder: folder.into(), ..Self::new(root) }
     }
 
-    /// The photograph that an entry names: as written, with one of the usual endings, or with the slashes of this system. Otherwise
-    /// the only picture that may be meant: of the same name but for its ending and the case of its letters, in a folder of the same
-    /// name, or in another one if the named folder is none of a split.
+    /// Finds the photograph that an entry names: as written, with one of the usual endings added, or with forward
+    /// slashes. Otherwise returns the only picture that may be meant: its name differs only in the ending and the case
+    /// of letters, and its folder has the same name, or another name if neither folder is one of a split.
     ///
     /// # Errors
     /// Of kind `Input`, at `place`: no such photograph, several of them, or one in a format that is not read.
@@ -103,7 +103,7 @@ impl Pictures {
         }
     }
 
-    /// The pictures that may be meant by a path with forward slashes at which there is none.
+    /// The pictures that may be meant by a path with forward slashes at which there is no file.
     fn elsewhere(&self, named: &str) -> Vec<&Path> {
         let mut parts: Vec<String> = named
             .split('/')
@@ -113,7 +113,7 @@ impl Pictures {
         let Some(file) = parts.pop() else { return Vec::new() };
         let listed = self.listed.get_or_init(|| list(&self.root));
         let Some(alike) = listed.by_stem.get(&names::key(&file)) else { return Vec::new() };
-        // How many folders before its name agree.
+        // Number of folders before its name that agree.
         let agreeing = |picture: &Picture| {
             parts.iter().rev().zip(picture.folders.iter().rev()).take_while(|(a, b)| a == b).count()
         };
@@ -121,7 +121,7 @@ impl Pictures {
         let mut meant: Vec<&Picture> = alike.iter().filter(|picture| agreeing(picture) == most).collect();
         if most == 0 {
             let folder = parts.last().map_or("", String::as_str);
-            // Where the named folder is there, the picture is not in it.
+            // The named folder has pictures, and this one is not among them.
             if listed.folders.contains(folder) {
                 return Vec::new();
             }
@@ -130,7 +130,7 @@ impl Pictures {
                 let own = picture.folders.last().map_or("", String::as_str);
                 !(of_split(folder) || of_split(own))
             });
-            // Of smaller copies (`images_2`, `images_4`) the largest.
+            // Among reduced copies (`images_2`, `images_4`), the largest is taken.
             let reduction = |picture: &Picture| {
                 picture.folders.last()?.strip_prefix(folder)?.strip_prefix('_')?.parse::<u32>().ok()
             };
@@ -144,7 +144,7 @@ impl Pictures {
         }
         let depth = meant.iter().map(|picture| picture.folders.len()).min();
         meant.retain(|picture| Some(picture.folders.len()) == depth);
-        // The same picture with several endings is one.
+        // Files of one folder that differ only in their endings are one picture.
         let folder = |picture: &Picture| picture.path.parent().map(Path::to_path_buf);
         let first = meant.first().map(|picture| folder(picture));
         if meant.iter().all(|picture| Some(folder(picture)) == first) {
@@ -158,10 +158,10 @@ impl Pictures {
     }
 }
 
-/// The folder from which entries name photographs: `images` within the scene, if that is stated.
+/// The folder to which the paths of entries are relative: the scene, or `images` within it if that is stated.
 ///
 /// # Errors
-/// Of kind `Input`: the stated folder is none.
+/// Of kind `Input`: the stated path is not a folder.
 pub(crate) fn stated(root: &Path, images: &str) -> Result<PathBuf> {
     if images.is_empty() {
         return Ok(root.into());
@@ -200,7 +200,7 @@ fn list(root: &Path) -> List {
     listed
 }
 
-/// The error for a photograph that is nowhere.
+/// The error for a photograph that is not found.
 fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
     if let Some((path, format)) = candidates.iter().find_map(|path| foreign::beside(path)) {
         let what = format!(
@@ -220,8 +220,8 @@ fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
     )
 }
 
-/// Finds the photographs of all entries, in their order; an entry has the name of a photograph and a place for messages. A photograph
-/// that is not where an entry says is none that another entry has.
+/// Finds the photographs of all entries, in their order; an entry has the name of a photograph and a place for
+/// messages. A photograph that is not where its entry says must not be that of another entry.
 fn resolved<'a>(
     pictures: &Pictures,
     entries: impl Iterator<Item = (&'a str, String)>,
@@ -264,7 +264,7 @@ fn moved(file: &Path, resolved: &[(&str, Result<Location>)]) -> Option<String> {
     Some(format!("{}: {} of {all} lie elsewhere than it says: {first}", file.display(), moved.len()))
 }
 
-/// Finds the photographs of all entries of `file`, in their order. A warning tells of photographs that are not where their entries say.
+/// Finds the photographs of all entries of `file`, in their order. A warning reports photographs that are not where their entries say.
 ///
 /// # Errors
 /// Of kind `Input`, for the first photograph that is not found, with the number of others.
@@ -289,8 +289,8 @@ pub(crate) fn of_entries<'a>(
     Ok((found.map_err(with_others)?, warning))
 }
 
-/// Finds most photographs of the entries of `file`, in their order: `None` for one that is not found. Warnings tell of these, and of
-/// photographs that are not where their entries say.
+/// Finds most photographs of the entries of `file`, in their order: `None` for one that is not found. Warnings report
+/// these, and photographs that are not where their entries say.
 ///
 /// # Errors
 /// Of kind `Input`, if more than half are not found.

@@ -43,7 +43,7 @@ impl Scalar {
         }
     }
 
-    /// The value of its little-endian bytes, of which those beyond its size are 0.
+    /// The value of its little-endian bytes; bytes beyond its size are 0.
     fn value(self, bytes: [u8; 8]) -> f64 {
         let [a, b, c, d, ..] = bytes;
         match self {
@@ -90,11 +90,10 @@ impl Element<'_> {
     }
 }
 
-/// The vertices of the file `name`; those with a number that is not finite are left out.
+/// The vertices of the file `name`; those whose position is not finite are left out.
 ///
 /// # Errors
-/// Of kind `Input`: what the header lacks, and numbers that are missing or are none. The message names the file, and the line
-/// or the byte.
+/// Of kind `Input`: an incomplete header, and numbers that are missing or malformed. The message names the file, and the line or the byte.
 pub(crate) fn points(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     let mut rest = Rest { name, bytes, at: 0, line: 0 };
     let (encoding, elements) = rest.header()?;
@@ -112,7 +111,7 @@ pub(crate) fn points(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     Err(rest.wrong_file("has no element \"vertex\""))
 }
 
-/// What is not read yet.
+/// The part of a file that is not read yet.
 struct Rest<'a> {
     name: &'a str,
     bytes: &'a [u8],
@@ -193,7 +192,7 @@ impl<'a> Rest<'a> {
     /// Refuses more rows than the rest of the file can hold.
     fn needs(&self, element: &Element<'_>, encoding: Encoding) -> Result<()> {
         let left = self.left().len();
-        // The last line of a text may have no end.
+        // The last line of a text may lack its line break.
         if element.least(encoding).checked_mul(element.rows).is_some_and(|bytes| bytes <= left + 1) {
             return Ok(());
         }
@@ -228,7 +227,7 @@ impl<'a> Rest<'a> {
         Ok(points)
     }
 
-    /// The numbers of the next row; lists are read over.
+    /// Reads the numbers of the next row and skips its lists.
     fn row(
         &mut self,
         element: &Element<'_>,
@@ -244,7 +243,7 @@ impl<'a> Rest<'a> {
             let read = match property.count {
                 None => self.number(property.scalar, encoding).map(|number| *value = number),
                 Some(count) => self.number(count, encoding).and_then(|count| {
-                    // Counts below 0 are none.
+                    // Counts below 0 are cast to 0.
                     self.skip((count as usize).checked_mul(property.scalar.size())?)
                 }),
             };

@@ -1,5 +1,5 @@
-//! Points of a scene from structure from motion: where they are, how sure they are, which photographs saw them, and the box
-//! around them. World units of the poses; places in pixels.
+//! Points of a scene from structure from motion: their positions, reliability and tracks, and the box around them.
+//! World units of the poses; places in photographs in pixels.
 
 use glam::DVec3;
 use trimip_core::{Aabb, Camera, plural::count, scene_plan::StatedBox};
@@ -10,7 +10,7 @@ const OUTLIERS: f64 = 0.02;
 const MARGIN: f64 = 0.05;
 /// Fewest points from which a box is made.
 const LEAST_POINTS: usize = 100;
-/// Fewest images of a point that bounds the scene: two agree on a point wherever their rays pass.
+/// Fewest images of a point that bounds the scene: the two rays of a wrong match may also meet.
 const LEAST_SEEN: usize = 3;
 /// Largest reprojection error of such a point, pixels.
 const LARGEST_ERROR: f64 = 2.0;
@@ -40,8 +40,8 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Reprojection error in pixels: the distance from where the view saw the point to where `camera`, the view's, projects
-    /// `position`. `None` if the camera has no image of that place.
+    /// Reprojection error in pixels: the distance between the place at which the view saw the point and the projection
+    /// of `position` by `camera`, the camera of the view. `None` if the camera has no image of `position`.
     pub fn error(&self, position: DVec3, camera: &Camera) -> Option<f64> {
         let at = camera.rotation.transpose() * (position - camera.origin);
         let [x, y] = camera.intrinsics.image_of(at)?;
@@ -51,7 +51,7 @@ impl Observation {
 }
 
 impl Point {
-    /// True if nothing speaks against the point: enough images saw it where it is.
+    /// True unless too few images saw the point or its reprojection error is too large.
     pub fn is_sure(&self) -> bool {
         self.seen.is_none_or(|seen| seen >= LEAST_SEEN)
             && self.error.is_none_or(|error| error <= LARGEST_ERROR)
@@ -62,12 +62,12 @@ impl Point {
 #[derive(Debug, Default)]
 pub(crate) struct Cloud {
     pub(crate) points: Vec<Point>,
-    /// Names of the frames that tracks count.
+    /// Names of the frames; tracks hold indices of them.
     pub(crate) frames: Vec<String>,
 }
 
 impl Cloud {
-    /// The box around the sure points; `source` says where they come from.
+    /// The box around the reliable points; `source` says where they come from.
     pub(crate) fn stated(&self, source: &str) -> Option<StatedBox> {
         let sure: Vec<[f64; 3]> =
             self.points.iter().filter(|point| point.is_sure()).map(|point| point.position).collect();
@@ -86,8 +86,8 @@ impl Cloud {
         })
     }
 
-    /// The points with their tracks by training view. `views` are the names of the views at the finest scale, whose
-    /// photographs were halved `halvings` times.
+    /// Returns the points, with tracks of training views instead of frames. `views` are the names of the views at the
+    /// finest scale, whose photographs were halved `halvings` times.
     pub(crate) fn seen_by<'a>(self, views: impl Iterator<Item = &'a str>, halvings: u32) -> Vec<Point> {
         let mut points = self.points;
         if points.iter().all(|point| point.track.is_empty()) {

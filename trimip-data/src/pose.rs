@@ -35,11 +35,11 @@ pub(crate) fn parse(place: &str, key: &str, value: &Value) -> Result<(DMat3, DVe
     checked([0, 1, 2].map(|row| [0, 1, 2, 3].map(|column| rows[row][column]))).map_err(wrong)
 }
 
-/// What a matrix is said to be that has such a number.
+/// Message about a matrix with a NaN or an infinity.
 const NOT_FINITE: &str = "holds a number that is not finite";
 
-/// Rotation and camera centre from the rows of a matrix. Axes that are longer or shorter by one factor, as those of a scaled camera object,
-/// have the same rays as a rotation. The error says what is wrong.
+/// Rotation and camera centre from the rows of a matrix. A uniform scale of the axes, as of a scaled camera object, is
+/// divided out: the rays stay the same. The error says what is wrong.
 pub(crate) fn checked(rows: [[f64; 4]; 3]) -> std::result::Result<(DMat3, DVec3), String> {
     if rows.iter().flatten().any(|entry| !entry.is_finite()) {
         return Err(NOT_FINITE.into());

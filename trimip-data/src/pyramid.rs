@@ -1,6 +1,6 @@
 //! An image at 1, 1/2, 1/4, ..: repeated 2×2 means of RGBA in f32 of value/255. Each level is made from the unrounded
-//! level before it. An odd last row or column is cropped at each level. Where alpha is the share of a pixel that counts, colours
-//! are means over these shares.
+//! level before it. An odd last row or column is cropped at each level. Where alpha is the kept share of a pixel,
+//! colours are means with these shares as weights.
 
 use trimip_core::{Alpha, config::Convention};
 
@@ -24,8 +24,8 @@ pub fn build(
     levels
 }
 
-/// [`build`] of any kind of alpha into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels, or none if it is not
-/// wanted. Colours of [`Alpha::Kept`] are rounded, and black where nothing is kept.
+/// As [`build`], for any kind of alpha and into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels, or
+/// none if it is not wanted. Colours of [`Alpha::Kept`] are rounded, and black where nothing is kept.
 pub(crate) fn fill(
     base: &[[u8; 4]],
     width: usize,

@@ -28,11 +28,11 @@ pub struct Scene {
     pub stated: Option<StatedBox>,
     /// Points of the scene that the data state, with the training views that saw them.
     pub points: Vec<Point>,
-    /// Where the coordinates of cameras, box and points begin in those of the files (`data.origin`).
+    /// Origin of the coordinates of cameras, box and points, in the coordinates of the files (`data.origin`).
     pub origin: LocalOrigin,
     /// Where the archive of the scene was unpacked, in words; a line of the description.
     pub unpacked: Option<String>,
-    /// Warnings about the data, to be shown beside every result.
+    /// Warnings about the data, to be shown with every result.
     pub warnings: Vec<String>,
     /// A description in a few lines: layout, views, sizes, scales, memory.
     pub description: Vec<String>,
@@ -48,7 +48,7 @@ pub struct TestSet {
     pub train: Vec<Camera>,
     /// Training frames, as `frames`.
     pub photographs: Box<dyn Frames>,
-    /// Warnings about the data, to be shown beside every result.
+    /// Warnings about the data, to be shown with every result.
     pub warnings: Vec<String>,
 }
 
@@ -58,8 +58,8 @@ impl std::fmt::Debug for Scene {
     }
 }
 
-/// Opens the scene that the settings name: reads every camera and image header, decodes the training images. Without `data.origin`,
-/// the coordinates of a scene far from their origin count from [a place](LocalOrigin::chosen) among its cameras.
+/// Opens the scene that the settings name: reads every camera and image header, decodes the training images. Without
+/// `data.origin`, a scene far from the origin of its files gets [an origin](LocalOrigin::chosen) among its cameras.
 ///
 /// # Errors
 /// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
@@ -77,7 +77,7 @@ pub fn open_watched(config: &DataConfig, watch: Watch<'_>) -> Result<Scene> {
     Ok(opened(survey, config, train))
 }
 
-/// The scene that the settings name and its training views with all that is known of them.
+/// Reads the scene that the settings name, and assembles its training views with their known depths.
 pub(crate) fn surveyed(config: &DataConfig, watch: Watch<'_>) -> Result<(Survey, ViewSet)> {
     let mut survey = Survey::new(config)?.local(config, LocalOrigin::chosen)?;
     let images = DepthImages::find(config, &survey.train)?;
@@ -91,8 +91,8 @@ pub(crate) fn surveyed(config: &DataConfig, watch: Watch<'_>) -> Result<(Survey,
 }
 
 /// Opens the test frames of the scene that the settings name. Reads every camera and image header as [`open`] does, but
-/// decodes no training image, which saves time and memory. Without `data.origin`, as of a model that was trained near the origin, the
-/// coordinates are those of the files.
+/// decodes no training image, which saves time and memory. Without `data.origin`, the coordinates are those of the
+/// files, as for a model that was trained near the origin.
 ///
 /// # Errors
 /// As [`open`]; of kind `Input` if there is no test frame.

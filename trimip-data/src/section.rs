@@ -1,4 +1,4 @@
-//! The section `[data]` for a program to register: its tables, and what its settings must be together.
+//! The section `[data]` for a program to register: its tables, and the checks across its settings.
 
 use crate::{
     layout,

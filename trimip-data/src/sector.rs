@@ -1,16 +1,16 @@
-//! The frames in one sector of the cameras (`data.holdout_by = "sector"`): test views that no training view stands between.
+//! The frames in one sector of the cameras (`data.holdout_by = "sector"`): test views with no training view between them.
 
 use trimip_core::{Camera, scene_plan};
 
-/// Cameras nearer to each other than this share of their distance to the origin stand at one place.
+/// Cameras nearer to each other than this share of their distance to the origin count as one place.
 const ONE_PLACE: f64 = 1e-9;
 
-/// Some cameras that are neighbours.
+/// A group of neighbouring cameras.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Sector {
     /// Their indices, in order.
     pub(crate) frames: Vec<usize>,
-    /// What bounds it, in words after "within".
+    /// Its extent, in words after "within".
     pub(crate) extent: String,
 }
 
@@ -19,7 +19,7 @@ pub(crate) struct Sector {
 enum Apart {
     /// By the angle between them, radians, as seen from the point that the cameras look at.
     Seen(f64),
-    /// By the angle between their viewing directions, radians: they stand at one place.
+    /// By the angle between their viewing directions, radians: they are at one place.
     Turned(f64),
     /// By their distance, world units: they look along one direction.
     Moved(f64),
@@ -48,9 +48,9 @@ impl Apart {
     }
 }
 
-/// The first of `cameras` and those nearest to it, `count` in all. Of cameras that look at one point, the nearest are those whose
-/// directions from that point differ least; of cameras that look along one direction, those that stand nearest; of cameras at one place,
-/// those whose viewing directions differ least. Of equally near ones the first in order counts. `None` without a camera.
+/// The first of `cameras` and those nearest to it, `count` in all. Nearness is the angle as seen from the point that
+/// all cameras look at, the distance of cameras that look along one direction, or the angle between viewing directions
+/// of cameras at one place. Among equally near cameras, the first in order counts. `None` without a camera.
 pub(crate) fn around_first(cameras: &[Camera], count: usize) -> Option<Sector> {
     let first = cameras.first()?;
     let near = ONE_PLACE * first.origin.length().max(f64::MIN_POSITIVE);
@@ -65,7 +65,7 @@ pub(crate) fn around_first(cameras: &[Camera], count: usize) -> Option<Sector> {
         None => Apart::Moved(camera.origin.distance(first.origin)),
     };
     let mut ordered: Vec<(Apart, usize)> = cameras.iter().map(apart).zip(0..).collect();
-    // An angle that is not a number, of a camera at the very point, is the largest.
+    // The angle of a camera exactly at the point is not a number, and counts as the largest.
     ordered.sort_by(|a, b| a.0.value().total_cmp(&b.0.value()));
     ordered.truncate(count);
     let extent = ordered.last()?.0.words();
@@ -117,7 +117,7 @@ mod tests {
         let place = |i: i32| DVec3::new(f64::from(i * 3 % 10), 0.0, 0.0);
         let cameras: Vec<Camera> = (0..10).map(|i| look(place(i), place(i) + DVec3::Y)).collect();
         let found = around_first(&cameras, 3).unwrap();
-        // They stand at 0, 3, 6, 9, 2, 5, 8, 1, 4, 7.
+        // They are at 0, 3, 6, 9, 2, 5, 8, 1, 4, 7.
         assert_eq!(
             (found.frames, found.extent.as_str()),
             (vec![0, 4, 7], "2.0000 world units of the first camera")

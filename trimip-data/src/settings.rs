@@ -1,5 +1,5 @@
-//! The settings of this crate: how photographs are found, read and kept, and the built-in scene. Their defaults, ranges and
-//! meanings are the tables in `settings/`; they stand in the section `[data]` beside those of core.
+//! The settings of this crate: how photographs are found, read and kept, and the built-in scene. Their defaults, ranges
+//! and meanings are the tables in `settings/`. They share the section `[data]` with those of core.
 
 use serde::{Deserialize, Serialize};
 use trimip_core::config::Convention;
@@ -95,11 +95,11 @@ pub enum MaskKeeps {
     Black,
 }
 
-/// What a mask tells of the pixels that it does not keep.
+/// Meaning of the pixels that a mask does not keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MaskRole {
-    /// Empty space for masks of a folder, nothing for `mask_path` and `dynamic_mask_*`.
+    /// Empty space for masks of a folder, unknown for `mask_path` and `dynamic_mask_*`.
     Auto,
     /// They show empty space: the mask is the photograph's alpha.
     Object,

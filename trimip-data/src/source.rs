@@ -29,7 +29,7 @@ pub(crate) struct Source {
     pub(crate) mask: Option<Mask>,
     /// The mask that its entry states.
     pub(crate) mask_path: Option<String>,
-    /// The depth image of its photograph, whether it is there or not.
+    /// The depth image that is stated for its photograph. The file may be missing.
     pub(crate) depth: Option<DepthFile>,
 }
 
@@ -101,7 +101,7 @@ impl Source {
         self
     }
 
-    /// The same frame, without the distortion of its lens.
+    /// Removes the distortion of its lens.
     pub(crate) fn straighten(&mut self) {
         for (_, camera) in &mut self.views {
             camera.intrinsics.lens = camera.intrinsics.lens.without_distortion();
@@ -122,7 +122,7 @@ impl Source {
         }
     }
 
-    /// The pixels of its photograph, RGBA, with its mask as `alpha` says.
+    /// Decodes its photograph to RGBA and applies its mask. `alpha` is the meaning of alpha in the set.
     fn masked(&self, file: &Photograph, alpha: Alpha) -> Result<Vec<u8>> {
         let mut pixels = file.decode()?;
         let (all, _) = pixels.as_chunks_mut();
@@ -182,7 +182,7 @@ pub(crate) fn assemble(sources: &[Source], alpha: Alpha, meter: &Meter<'_>) -> R
     assemble_in(PixelStore::Memory, sources, alpha, meter)
 }
 
-/// As [`assemble`], with the pixels where `store` says.
+/// As [`assemble`], with the pixels in memory or in a file, as `store` says.
 pub(crate) fn assemble_in(
     store: PixelStore,
     sources: &[Source],

@@ -1,4 +1,4 @@
-//! What a reader gives for a split: its frames, and what the files say about the scene.
+//! The result of reading a split: its frames, and the metadata of the scene.
 
 use crate::{points::Cloud, source::Source};
 use trimip_core::scene_plan::StatedBox;
@@ -12,6 +12,6 @@ pub(crate) struct Split {
     pub(crate) notes: Vec<String>,
     /// The bounding box that the file states.
     pub(crate) stated: Option<StatedBox>,
-    /// The points that the file states; of a file with several splits, the first that is read has them.
+    /// The points that the file states; if a file has several splits, the first that is read gets them.
     pub(crate) cloud: Cloud,
 }

@@ -1,5 +1,5 @@
-//! The bounding box that a transforms file states: points from structure from motion (`ply_file_path`, nerfstudio), or
-//! Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
+//! The bounding box that a transforms file states: around points from structure from motion (`ply_file_path`,
+//! nerfstudio), or Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
 
 use crate::{json::Node, ply, split::Split};
 use std::{fs, path::Path};
@@ -8,8 +8,8 @@ use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
 
-/// The box and the points that `file` in `root` states, as a split without frames; the box around the points takes precedence. Points
-/// that are not there are left out with a warning.
+/// The box and the points that `file` in `root` states, as a split without frames; the box around the points takes
+/// precedence. A file of points that cannot be read is left out with a warning.
 pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Split> {
     let mut facts = Split::default();
     if let Some(named) = file.text("ply_file_path")? {

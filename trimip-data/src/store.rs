@@ -1,5 +1,5 @@
-//! Where decoded photographs are kept: in memory, or in a file without a name that the system pages in and drops as memory
-//! allows. Both hold the same pixels, so a run has the same bits.
+//! Storage of decoded photographs: memory, or a file without a name that the system pages in and drops as memory
+//! allows. Both hold the same pixels, so the results of a run have the same bits.
 
 use crate::settings::PixelStore;
 use memmap2::{Mmap, MmapMut};
@@ -12,7 +12,7 @@ const SHARE: f64 = 0.5;
 /// Bytes that are written at once to reserve the file's space.
 const CHUNK: usize = 1 << 20;
 
-/// Where `pixels` pixels are kept by a setting.
+/// True if `store` keeps `pixels` pixels in a file.
 pub(crate) fn is_on_disk(store: PixelStore, pixels: usize) -> bool {
     match store {
         PixelStore::Memory => false,
@@ -23,10 +23,10 @@ pub(crate) fn is_on_disk(store: PixelStore, pixels: usize) -> bool {
     }
 }
 
-/// Pixels that `fill` has written, all zero before.
+/// Allocates pixels of zeros and has `fill` write them.
 ///
 /// # Errors
-/// If there is no room for them, and those of `fill`.
+/// If there is no room for them, and errors of `fill`.
 pub(crate) fn filled(
     on_disk: bool,
     pixels: usize,
@@ -58,18 +58,18 @@ pub(crate) fn filled(
     Ok(Pixels::elsewhere(Mapped(map)))
 }
 
-/// Memory of zeros. Training reads single pixels of all photographs at random, so large pages are asked for where the system has
-/// them: with small ones most of these reads wait for the page table.
+/// Memory of zeros. Training reads single pixels of all photographs at random, so large pages are requested where the
+/// system has them: with small ones most of these reads wait for the page table.
 fn in_memory(pixels: usize) -> std::io::Result<MmapMut> {
     let map = MmapMut::map_anon(pixels.checked_mul(4).ok_or(std::io::ErrorKind::OutOfMemory)?)?;
-    // Small pages hold the same pixels.
+    // A refusal is harmless: small pages hold the same pixels.
     #[cfg(target_os = "linux")]
     let _ = map.advise(memmap2::Advice::HugePage);
     Ok(map)
 }
 
-/// Maps a file of zeros that vanishes with this process. Its space is reserved by writing it: a full disk is an error here
-/// and not a signal later.
+/// Maps a file of zeros that is deleted when this process ends. Writing the zeros reserves its space, so a full disk is
+/// an error here and not a signal later.
 #[allow(unsafe_code)] // the only way to map a file
 fn reserve(pixels: usize) -> std::io::Result<MmapMut> {
     let mut file: fs::File = tempfile::tempfile()?;
@@ -83,7 +83,7 @@ fn reserve(pixels: usize) -> std::io::Result<MmapMut> {
     unsafe { MmapMut::map_mut(&file) }
 }
 
-/// Pixels in mapped memory, of a file or of none.
+/// Pixels in mapped memory, with or without a file.
 struct Mapped(Mmap);
 
 impl AsRef<[[u8; 4]]> for Mapped {

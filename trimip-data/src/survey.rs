@@ -36,10 +36,10 @@ pub(crate) struct Survey {
     /// More lines of the description.
     pub(crate) notes: Vec<String>,
     pub(crate) stated: Option<StatedBox>,
-    /// What alpha is in all views.
+    /// Meaning of alpha in all views.
     pub(crate) alpha: Alpha,
     pub(crate) points: Vec<Point>,
-    /// Where the coordinates of cameras, box and points begin in those of the files.
+    /// Origin of the coordinates of cameras, box and points, in the coordinates of the files.
     pub(crate) origin: LocalOrigin,
 }
 
@@ -97,8 +97,8 @@ impl Survey {
         })
     }
 
-    /// The same scene in coordinates that count from `data.origin`, or, if none is given, from the place that `choose` finds for the
-    /// training cameras.
+    /// Moves the scene to coordinates relative to `data.origin` or, if none is given, to the place that `choose` finds
+    /// for the training cameras.
     pub(crate) fn local(mut self, config: &DataConfig, choose: fn(&[Camera]) -> LocalOrigin) -> Result<Self> {
         let origin = match config.origin[..] {
             [] => choose(&self.cameras()),
@@ -152,7 +152,7 @@ fn leave_out_lost(train: &mut Vec<Source>, test: &mut Vec<Source>) -> Option<Str
     ))
 }
 
-/// What the splits of a scene state about it beside their frames. The first split that states a box or points wins.
+/// Metadata of the splits of a scene, apart from their frames. The first split that states a box or points wins.
 #[derive(Default)]
 struct Facts {
     warnings: Vec<String>,
@@ -162,7 +162,7 @@ struct Facts {
 }
 
 impl Facts {
-    /// Takes what a split states, and returns its frames.
+    /// Takes the metadata of a split, and returns its frames.
     fn take(&mut self, split: Split) -> Vec<Source> {
         self.warnings.extend(split.warnings);
         self.notes.extend(split.notes);
@@ -182,7 +182,7 @@ fn divided(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Di
     if !config.test_list.is_empty() {
         return listed(layout, config, facts);
     }
-    // Of files without splits, the split "train" lacks every 8th frame: a sector is chosen among all.
+    // In files without splits, the split "train" lacks every 8th frame, so a sector is chosen among all frames.
     if config.holdout_by == HoldoutBy::Sector
         && !layout.states_splits()?
         && let Some(all) = layout.undivided()?
@@ -218,7 +218,7 @@ fn listed(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Div
     Ok((vec![("train".into(), train.len())], train, test))
 }
 
-/// The test frames: some of `train`, which are taken out of it, or those of the test split.
+/// Returns the test frames: those of the test split, or some that it takes out of `train`.
 fn tested(
     layout: &Layout,
     config: &DataConfig,
@@ -294,8 +294,8 @@ fn shrink(
     (shrunk(train), shrunk(test))
 }
 
-/// Removes one frame in `data.holdout` from `train`, or one in [`HOLD_OUT`] if it is 0: every n-th, beginning with the first, or as many in
-/// one sector of the cameras around the first.
+/// Takes one frame in `data.holdout` out of `train`, or one in [`HOLD_OUT`] if it is 0. These are every n-th frame,
+/// beginning with the first, or as many frames in one sector of the cameras around the first.
 fn hold_out(train: &mut Vec<Source>, config: &DataConfig, facts: &mut Facts) -> Result<Vec<Source>> {
     let (frames, every) = (train.len(), if config.holdout > 0 { config.holdout as usize } else { HOLD_OUT });
     let chosen: Vec<usize> = match config.holdout_by {

@@ -1,5 +1,5 @@
-//! The entries of a TIFF file, looked at before it is decoded: the decoder takes the memory that entries state before it reads them (TIFF 6.0,
-//! section 2; entries of BigTIFF are longer).
+//! Checks of the entries of a TIFF file before it is decoded: the decoder allocates the memory that entries state
+//! before it reads them (TIFF 6.0, section 2; entries of BigTIFF are longer).
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 
@@ -7,10 +7,11 @@ use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 /// rational, float, double, directory; three of BigTIFF.
 const SIZES: [u64; 18] = [1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8];
 
-/// Checks that the values of the first directory of a TIFF file lie in it. Other files are not looked at. The source is at its start afterwards.
+/// Checks that the values of the first directory of a TIFF file end within the file. Files of other formats pass. The
+/// source is rewound afterwards.
 ///
 /// # Errors
-/// Values that end behind the file, and what reading gives.
+/// Values that end beyond the file, and errors of reading.
 pub(crate) fn check(source: &mut (impl Read + Seek)) -> io::Result<()> {
     let end = source.seek(SeekFrom::End(0))?;
     source.rewind()?;

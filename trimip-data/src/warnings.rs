@@ -1,4 +1,4 @@
-//! Warnings about the frames of a scene that no single frame shows: pixels without rays, EXIF orientations, mixed alpha.
+//! Warnings that concern the frames of a scene together: pixels without rays, EXIF orientations, mixed alpha.
 
 use crate::{orientation::Turn, source::Source};
 use trimip_core::{Alpha, Intrinsics};
@@ -25,7 +25,7 @@ pub(crate) fn blind<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<Str
     })
 }
 
-/// A warning if photographs have a tag that was not applied and may be meant.
+/// A warning if photographs have an EXIF orientation that was not applied but may be intended.
 pub(crate) fn orientation<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<String> {
     let mut doubtful = sources.flat_map(Source::files).filter(|file| file.turn == Turn::Doubtful);
     let first = doubtful.next()?;

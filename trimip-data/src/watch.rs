@@ -3,8 +3,8 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use trimip_core::{Error, Result};
 
-/// Receives, from any thread, how many rows of the finest views are done, and their total. False stops the work after the
-/// photographs at hand.
+/// Receives, from any thread, the number of finished rows of the finest views, and their total. Returning false stops
+/// the work after the photographs in progress.
 pub type Watch<'a> = &'a (dyn Fn(u64, u64) -> bool + Sync);
 
 /// A [`Watch`] that does nothing.
@@ -27,7 +27,7 @@ impl<'a> Meter<'a> {
         Self { done: AtomicU64::new(0), total, stopped: stopped.into(), watch }
     }
 
-    /// `rows` more are done.
+    /// Adds `rows` finished rows.
     pub(crate) fn add(&self, rows: u64) {
         let done = self.done.fetch_add(rows, Ordering::Relaxed) + rows;
         if !(self.watch)(done, self.total) {
@@ -35,7 +35,7 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// Whether the work is to go on.
+    /// Checks that the work is to go on.
     ///
     /// # Errors
     /// Of kind `Stopped`, once the watch has returned false.

@@ -1,16 +1,16 @@
-//! The parts of a WebP file, looked at before it is decoded: the decoder takes the memory that parts state before it reads them
-//! (RFC 9649, WebP Image Format).
+//! Checks of the chunks of a WebP file before it is decoded: the decoder allocates the memory that chunks state before
+//! it reads them (RFC 9649, WebP Image Format).
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 
-/// Bytes of a part before its data: its name and length.
+/// Bytes of a chunk before its data: its name and length.
 const HEAD: u64 = 8;
 
-/// Checks that the parts of a WebP file lie in it, and that its pictures have the size that it states. Other files are not looked at. The
-/// source is at its start afterwards.
+/// Checks that the chunks of a WebP file end within it, and that its pictures have the size that its header states.
+/// Files of other formats pass. The source is rewound afterwards.
 ///
 /// # Errors
-/// A part that ends behind the file, a picture of another size, and what reading gives.
+/// A chunk that ends beyond the file, a picture of another size, and errors of reading.
 pub(crate) fn check(source: &mut (impl Read + Seek)) -> io::Result<()> {
     let end = source.seek(SeekFrom::End(0))?;
     source.rewind()?;
@@ -24,8 +24,8 @@ pub(crate) fn check(source: &mut (impl Read + Seek)) -> io::Result<()> {
     found
 }
 
-/// Checks the parts in a range of the file, whose pictures have the size `size` if it is stated. A picture of an animation has parts of its
-/// own, but none of them is such a picture (RFC 9649, 2.7.1.1), so that a file cannot nest them without end.
+/// Checks the chunks in a range of the file, whose pictures have the size `size` if it is stated. An animation frame
+/// (`ANMF`) has chunks of its own but no further frames (RFC 9649, 2.7.1.1), so a file cannot nest them without end.
 fn parts(
     source: &mut (impl Read + Seek),
     range: std::ops::Range<u64>,
@@ -40,7 +40,7 @@ fn parts(
         let ([a, b, c, d], length) = (head[..4].first_chunk().copied().unwrap_or_default(), &head[4..]);
         let length = u64::from(u32::from_le_bytes(length.first_chunk().copied().unwrap_or_default()));
         let data = at + HEAD..at + HEAD + length;
-        // Data of an odd length have a byte more, which some programs leave out at the end.
+        // Data of odd length is padded by a byte, which some programs omit at the end of the file.
         at = (data.end + length % 2).min(range.end);
         if data.end > range.end {
             return Err(wrong("a part ends behind the file"));
@@ -61,7 +61,7 @@ fn parts(
             }
             b"VP8 " => {
                 let [t0, t1, t2, _, _, _, w0, w1, h0, h1] = first(source)?;
-                // The length of the first partition, behind a bit each for the kind and the display and three of the version.
+                // The length of the first partition, after one bit for the frame type, three for the version and one for the display.
                 let first = u32::from_le_bytes([t0, t1, t2, 0]) >> 5;
                 let own = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side) & 0x3fff));
                 expect(own, size)?;
@@ -80,7 +80,7 @@ fn parts(
     Ok(())
 }
 
-/// A side of a picture, of which one less is written.
+/// A side of a picture, which is stored minus one.
 fn side([a, b, c]: [u8; 3]) -> u32 {
     1 + u32::from_le_bytes([a, b, c, 0])
 }

@@ -1,6 +1,6 @@
-//! Writing scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder.
-//! The JSON file that names the set is written last: a folder that has one is complete. What was stopped before is made
-//! again by the same command. A file that is there already is never replaced.
+//! Writing scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder. The
+//! JSON file that names the images is written last, so a folder that has one is complete. If the command is stopped
+//! before, running it again completes the folder. An existing file is never replaced.
 
 use crate::settings::{DataConfig, HoldoutBy};
 use crate::{
@@ -51,9 +51,9 @@ impl Display for Summary {
     }
 }
 
-/// Writes the training and test splits as the public converter does: `metadata.json`, `images_train/000_d0.png` ..
-/// near 2 and far 6 are written for every view, as in the public set. A split with a camera that is not plain (square pixels,
-/// centred principal point) also has the arrays `fl_y`, `cx`, `cy`. Progress of reading goes to `watch`.
+/// Writes the training and test splits as the public converter does: `metadata.json`, `images_train/000_d0.png` and so
+/// on. Every view gets `near` 2 and `far` 6, as in the public set. A split with a camera that is not plain (square
+/// pixels, centred principal point) also has the arrays `fl_y`, `cx`, `cy`. Progress of reading goes to `watch`.
 ///
 /// # Errors
 /// Those of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG
@@ -76,7 +76,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
             "set it to \"object\", or data.masks to \"none\"",
         ));
     }
-    // The source may be this folder, whose reading would change.
+    // The source may be this folder, and the new file would change how it is read.
     if readers::found(folder).is_some() {
         return Err(exists(folder));
     }
@@ -87,7 +87,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
         splits.push((split, head));
         rest = tail;
     }
-    // Frames of a list of test frames are no frames of a split.
+    // Test frames of a list belong to no split of the source.
     if !config.test_list.is_empty() {
         splits.push(("test", &survey.test));
     } else if !config.train.contains(&config.test) {
@@ -199,7 +199,7 @@ pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Re
         summary.images += sources.len();
         summary.bytes += bytes.iter().sum::<u64>();
     }
-    // The training split last: without it, a set is unfinished.
+    // The training split is written last: without it, a set is unfinished.
     documents.iter().rev().try_for_each(|(path, text)| put(path, text.as_bytes()))?;
     Ok(summary)
 }
@@ -216,7 +216,7 @@ fn transforms(split: &str, sources: &[Source]) -> String {
     json!({ "camera_angle_x": builtin::CAMERA_ANGLE_X, "frames": frames }).to_string()
 }
 
-/// Refuses a folder that holds a data set, unless all of it is the file that an unfinished set begins with.
+/// Refuses a folder that holds a data set, unless its only file of cameras is the one that an unfinished set begins with.
 fn refuse_all_but(folder: &Path, (first, text): &(PathBuf, String)) -> Result<()> {
     let foreign = readers::READERS.iter().filter(|reader| reader.format != blender::FORMAT);
     let others =
@@ -252,7 +252,7 @@ fn save(path: &Path, pixels: &[[u8; 4]], k: &Intrinsics) -> Result<u64> {
     Ok(png.get_ref().len() as u64)
 }
 
-/// Writes a new file. One that is there with the same bytes, by a command that was stopped, is done.
+/// Writes a new file. An existing file with the same bytes, from a command that was stopped, is kept.
 fn put(path: &Path, bytes: &[u8]) -> Result<()> {
     match fs::read(path) {
         Ok(there) if there == bytes => Ok(()),

@@ -1,5 +1,6 @@
-//! Zip archives of strangers: what they list, and the bytes of their files. Names, sizes and kinds are checked before a file is read, and each
-//! file is checked against its stated size and checksum while it is read. No memory is taken for what an archive only states.
+//! Untrusted zip archives: their directory, and the bytes of their files. Names, sizes and kinds are checked before a
+//! file is read, and each file is checked against its stated size and checksum while it is read. No memory is allocated
+//! for sizes that an archive merely states.
 
 use flate2::read::DeflateDecoder;
 use rawzip::{
@@ -13,10 +14,10 @@ use std::{
 };
 use trimip_core::{Error, Result, plural::count, scene::fingerprint};
 
-/// Ends of the names of zip archives, in lower case. Record3D calls its own `.r3d`.
+/// Ends of the names of zip archives, in lower case. Record3D names its own `.r3d`.
 const ENDINGS: [&str; 2] = ["zip", "r3d"];
 
-/// The folder that macOS adds for what other file systems cannot hold.
+/// The folder that macOS adds for metadata that other file systems cannot hold.
 const MACOS: &str = "__MACOSX";
 
 /// Bytes of a file that are unpacked at once.
@@ -25,16 +26,16 @@ const CHUNK: usize = 1 << 16;
 const UNPACK: &str = "if you trust it, unpack it with another program and name the folder";
 const AGAIN: &str = "copy or download the archive again";
 
-/// What an archive may be at most.
+/// Largest archive that is accepted.
 #[derive(Clone, Copy)]
 pub(crate) struct Limits {
     /// Number of entries.
     pub(crate) entries: u64,
-    /// Bytes of all its files together, or if that is more, `ratio` times those of the archive. DEFLATE makes at most 1032 bytes of
-    /// one, photographs hardly more than they take.
+    /// Bytes of all its files together, or if that is more, `ratio` times those of the archive. DEFLATE expands a byte
+    /// to at most 1032 bytes, and photographs hardly expand.
     pub(crate) bytes: u64,
     pub(crate) ratio: u64,
-    /// Number of folders in each other.
+    /// Number of parts of a path: nested folders and the file.
     pub(crate) depth: usize,
 }
 
@@ -42,7 +43,7 @@ impl Limits {
     pub(crate) const USUAL: Self = Self { entries: 500_000, bytes: 1 << 30, ratio: 100, depth: 32 };
 }
 
-/// True for a path that is called as a zip archive is, and is no folder.
+/// True for a path with the ending of a zip archive that is no folder.
 pub fn is_archive(path: &Path) -> bool {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str())) && !path.is_dir()
@@ -50,7 +51,7 @@ pub fn is_archive(path: &Path) -> bool {
 
 /// An archive and the files in it.
 pub(crate) struct Zip<R> {
-    /// How errors call it.
+    /// Its name in errors.
     name: String,
     archive: ZipArchive<R>,
     /// In the order of its directory. Hidden files and those of macOS are left out.
@@ -68,7 +69,7 @@ pub(crate) struct File {
 }
 
 impl File {
-    /// Its size as the archive states it. [`Zip::read`] gives so many bytes or an error.
+    /// Its size as the archive states it. [`Zip::read`] passes on exactly as many bytes, or fails.
     pub(crate) fn bytes(&self) -> u64 {
         self.place.uncompressed_size_hint()
     }
@@ -117,7 +118,7 @@ impl<R: ReaderAt> Zip<R> {
             }
             files.push(file);
         }
-        // Some programs write the last 16 bits of the number alone.
+        // Some programs write only the lowest 16 bits of the number.
         if listed % (1 << 16) != archive.entries_hint() % (1 << 16) {
             let what = format!("states {} entries and lists {listed}", archive.entries_hint());
             return Err(Error::input(name, what, AGAIN));
@@ -148,10 +149,10 @@ impl<R: ReaderAt> Zip<R> {
         Ok(Self { name: name.to_string(), archive, files, fingerprint: fingerprint::hash(&hashes) })
     }
 
-    /// Gives the bytes of a file to `take`, part by part.
+    /// Passes the bytes of a file to `take`, part by part.
     ///
     /// # Errors
-    /// If they are not those that the archive states, before more of them are given, and those of `take`.
+    /// If size or checksum differ from those that the archive states, before any surplus bytes are passed, and errors of `take`.
     pub(crate) fn read(&self, file: &File, mut take: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let place = format!("{}: {}", self.name, file.path);
         let entry = self.archive.get_entry(file.place).map_err(|error| damaged(&place, &error))?;
@@ -171,7 +172,7 @@ impl<R: ReaderAt> Zip<R> {
     }
 }
 
-/// Hash of what the directory says of an entry.
+/// Hash of the record of an entry in the directory.
 fn hash(entry: &ZipFileHeaderRecord<'_>) -> u64 {
     let numbers = [
         entry.crc32().into(),
@@ -183,7 +184,7 @@ fn hash(entry: &ZipFileHeaderRecord<'_>) -> u64 {
     fingerprint::hash_of([entry.file_path().as_ref(), &numbers])
 }
 
-/// The file of an entry; `None` for a folder and for what no scene needs.
+/// The file of an entry; `None` for a folder, a hidden file and a file of macOS.
 fn file(name: &dyn Display, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Result<Option<File>> {
     let raw = entry.file_path();
     if raw.as_ref().is_empty() {
@@ -197,10 +198,10 @@ fn file(name: &dyn Display, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) ->
             "unpack it with the program that made it and name the folder",
         );
     };
-    // Some programs for Windows write its separators.
+    // Some programs for Windows write backslashes.
     let separators = ['/', '\\'];
     let parts: Vec<&str> = text.split(separators).filter(|part| !part.is_empty() && *part != ".").collect();
-    // Windows takes dots and blanks away from the end of a name.
+    // Windows strips dots and blanks from the end of a name.
     let leads_out = |part: &&str| part.trim_end_matches(['.', ' ']).is_empty() || has_drive(part);
     if text.starts_with(separators) || parts.iter().any(leads_out) {
         return refused("its name leads out of the folder", UNPACK);
@@ -233,7 +234,7 @@ fn file(name: &dyn Display, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) ->
     Ok(Some(File { path: parts.join("/"), is_stored, place: entry.wayfinder() }))
 }
 
-/// True for `C:` and what begins so.
+/// True for a part that begins with a drive, such as `C:`.
 fn has_drive(part: &str) -> bool {
     let bytes = part.as_bytes();
     bytes.len() > 1 && bytes[0].is_ascii_alphabetic() && bytes[1] == b':'
@@ -247,7 +248,7 @@ fn damaged(place: &dyn Display, error: &dyn Display) -> Error {
     Error::input(place, format!("is damaged: {error}"), AGAIN)
 }
 
-/// The bytes of a file are not what the archive states of them.
+/// The error for a file whose bytes differ from what the archive states.
 fn unequal(place: &dyn Display, error: &std::io::Error) -> Error {
     let inner = error.get_ref().and_then(|inner| inner.downcast_ref::<rawzip::Error>());
     match inner.map(rawzip::Error::kind) {

@@ -1,4 +1,4 @@
-//! Scenes in zip archives: the views of the same folder, where they are unpacked, and archives that are refused.
+//! Scenes in zip archives: their views are those of the packed folder; where they are unpacked; archives that are refused.
 
 use crate::common::{
     assert_same, blender_scene,
@@ -25,7 +25,7 @@ fn scene() -> (TempDir, Vec<Entry>) {
     (folder, entries)
 }
 
-/// Names of what is in a folder.
+/// Names of the files and folders in a folder.
 fn names(folder: &Path) -> Vec<String> {
     let entries =
         fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -63,7 +63,7 @@ fn a_scene_in_an_archive_has_the_views_of_its_folder() {
             Entry::stored(std::str::from_utf8(&entry.name).unwrap(), &fs::read(path).unwrap())
         }
     });
-    // What macOS adds, and what lies beside a scene.
+    // Files that macOS adds, and files next to a scene.
     let mac = [Entry::stored("__MACOSX/scene/._r_0.png", b"x"), Entry::stored("scene/.DS_Store", b"x")];
     let inner = [packed(&here.join("scene"), "scene/"), mac.to_vec()].concat();
     let deep = [packed(&here.join("scene"), "a b/c/"), vec![Entry::stored("read me.txt", b"x")]].concat();
@@ -94,7 +94,7 @@ fn a_scene_in_an_archive_has_the_views_of_its_folder() {
             "{told}"
         );
         assert!(scene.description.iter().any(|line| line == told), "{:?}", scene.description);
-        // Unpacked once: what was changed since stays.
+        // The archive is unpacked once: later changes to the folder stay.
         fs::write(here.join(root).join("mine.txt"), "mine").unwrap();
         let again = open(&config).unwrap();
         assert_same_scene(&again, &whole);
@@ -140,7 +140,7 @@ fn a_file_of_record3d_is_read_as_it_is() {
         assert_cameras(&scene, &all);
         assert_same_scene(&scene, &open(&settings(&root, 1)).unwrap());
     }
-    // As another kind of scene it is refused, and nothing is left of it.
+    // With the format of another kind of scene it is refused, and nothing is left of it.
     let mut config = settings(&path, 1);
     config.format = "polycam".into();
     fs::remove_dir_all(here.join("walk")).unwrap();
@@ -149,7 +149,7 @@ fn a_file_of_record3d_is_read_as_it_is() {
     assert_eq!(names(here), ["files", "walk.r3d"]);
 }
 
-/// What an archive must not be.
+/// Archives that are broken or unsafe.
 #[test]
 fn archives_that_are_broken_or_not_to_be_trusted_are_refused() {
     let (folder, whole) = scene();
@@ -306,7 +306,7 @@ fn folders_of_others_stay_as_they_are() {
     fs::write(here.join("a.r3d"), archive(&entries[1..])).unwrap();
     let message = refused(&here.join("a.r3d"));
     assert!(message.contains("/a: was unpacked from another archive (\"a.zip\") than "), "{message}");
-    // One whose name leaves no room for another.
+    // An archive whose name leaves no room for that of the temporary folder.
     let long = here.join("x".repeat(251) + ".zip");
     fs::copy(&path, &long).unwrap();
     let message = refused(&long);
@@ -346,7 +346,7 @@ fn what_a_killed_process_leaves_is_unpacked_again() {
     fs::write(&path, archive(&entries)).unwrap();
     open(&settings(&path, 1)).unwrap();
     let mark = fs::read(at.join(".unpacked.json")).unwrap();
-    // Killed before the mark, within it, and after some files.
+    // The process was killed before the mark, within it, and after some files.
     for (mark, files) in [(None, false), (Some(&mark[..9]), false), (Some(&mark[..]), true)] {
         fs::remove_dir_all(&at).unwrap();
         fs::create_dir_all(left.join("train")).unwrap();

@@ -1,4 +1,4 @@
-//! Captures: the same cameras and pixels in every format, and what is read around a COLMAP model.
+//! Captures: the same cameras and pixels in every format, and the files around a COLMAP model.
 
 use crate::common::{
     assert_same,
@@ -127,7 +127,7 @@ fn every_format_gives_the_same_rays_and_pixels() {
         chosen.map(|(_, frame)| frame.clone()).collect()
     };
     let names = |test: bool| -> Vec<Value> {
-        // As nerfstudio writes them, and as Windows does.
+        // As in nerfstudio's lists, with the backslashes of Windows.
         part(test)
             .iter()
             .map(|frame| json!(frame["file_path"].as_str().unwrap().replace('/', "\\")))
@@ -150,7 +150,7 @@ fn every_format_gives_the_same_rays_and_pixels() {
             assert_same_rays(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
         }
     }
-    // The lists say which frames; the file says in which order.
+    // The lists choose the frames, and the file orders them.
     let theirs = scene(listed);
     assert_eq!((theirs.train.scales[0].views.len(), theirs.test.len()), (8, 2));
     for index in 0..8 {
@@ -244,7 +244,7 @@ fn every_camera_model_projects_as_colmap_does() {
     }
 }
 
-/// Every pixel that holds features knows the distance of the nearest of their points, and no other pixel knows any.
+/// Asserts that every pixel with features has the known distance of the nearest of their points, and no other pixel has any.
 fn assert_depths(scene: &Scene) {
     let mut expected = std::collections::BTreeMap::new();
     for scale in &scene.train.scales {
@@ -273,7 +273,7 @@ fn points_are_kept_with_the_training_views_that_saw_them() {
     assert_eq!((scene.points[3].color, scene.points[3].error), ([3, 7, 200], Some(0.5)));
     // Two of ten images are tested on.
     assert!(scene.points.iter().all(|point| point.track.len() == 8 && point.seen == Some(10)));
-    // The height of each feature tells its image.
+    // The height of each feature identifies its image.
     for seen in &scene.points[7].track {
         let name = &scene.train.views[seen.view as usize].name;
         let image = sparse.images.iter().find(|(.., n, _)| n.replace(".png", "").replace('/', "_") == *name);
@@ -293,7 +293,7 @@ fn points_are_kept_with_the_training_views_that_saw_them() {
 fn text_is_read_with_its_peculiarities() {
     let sparse = capture();
     let [cameras, images, points] = sparse.text();
-    // Comments between entries, CRLF, empty feature lines, no end of the last line.
+    // Comments between entries, CRLF, empty feature lines, no line break at the end.
     let stripped: String = images
         .lines()
         .scan(false, |features, line| {
@@ -382,7 +382,7 @@ fn models_and_photographs_are_found_where_programs_put_them() {
     sparse.write_text(&root.path().join("sparse/0"));
     save_images(&root.path().join("images"), &sparse, [60, 40]);
     assert_eq!(scene(&root.path().join("sparse/0")).train.views.len(), 16);
-    // A folder above says where it lies.
+    // The error for the folder above names it.
     let above = tempfile::tempdir().unwrap();
     fs::rename(root.path(), above.path().join("garden")).unwrap();
     let message = open(&settings(above.path(), 1)).unwrap_err().message;
@@ -466,7 +466,7 @@ fn a_list_of_names_divides_any_scene() {
     assert_eq!(divided.train.views.len(), 8);
     assert!(divided.description[0].contains("the frames of test.txt"), "{}", divided.description[0]);
     assert!(!divided.description.iter().any(|line| line.contains("every 8th")), "{:?}", divided.description);
-    // The same frames of a transforms file, divided or not.
+    // The same frames from transforms files, with and without splits.
     let frames = transforms(&sparse);
     write(&root.path().join("transforms.json"), &json!({ "frames": frames }));
     let same = open(&listed(root.path(), list)).unwrap();
@@ -477,7 +477,7 @@ fn a_list_of_names_divides_any_scene() {
     let same = open(&listed(root.path(), list)).unwrap();
     assert_same_rays(&divided.train, &same.train);
     assert_eq!(same.test.len(), 2);
-    // A written set has the frames of the list as its test split.
+    // A set that is written has the frames of the list as its test split.
     let set = tempfile::tempdir().unwrap();
     let summary = write_multiscale(&listed(root.path(), list), set.path(), &unwatched).unwrap();
     assert_eq!(summary.splits, [("train".to_string(), 8), ("test".to_string(), 2)]);
@@ -523,7 +523,7 @@ fn lists_of_a_transforms_file_are_its_splits() {
     let mut config = settings(root.path(), 1);
     config.test = "val".into();
     assert_eq!(open(&config).unwrap().test.load(0).unwrap().views[0].name, "right side_0001");
-    // Without a list of test frames those of "val" are tested on, or some training frames are held out.
+    // Without a list of test frames, those of "val" are tested on, or some training frames are held out.
     let scene = with(json!({ "train_filenames": named[..9], "val_filenames": named[9..] })).unwrap();
     assert_eq!((scene.train.views.len(), scene.test.len()), (9, 1));
     assert!(scene.warnings.iter().any(|w| w.contains("\"val\" is the test split")), "{:?}", scene.warnings);
@@ -591,7 +591,7 @@ fn each_broken_model_is_told_apart() {
             assert_eq!(error.exit_code(), 2);
             let message = error.message;
             let named = message.contains(file) && message.contains(what);
-            // Text has names of models, binary files have numbers.
+            // Text files name models, binary files number them.
             assert!(named, "binary {binary}: {what}:\n{message}");
         }
     }

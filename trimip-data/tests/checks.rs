@@ -1,4 +1,4 @@
-//! Checks of captures: each is silent on the built-in scene as it is, and tells of the scene that was made wrong for it.
+//! Checks of captures: each is silent about the built-in scene as it is, and reports the scene that was made wrong for it.
 
 use glam::DVec3;
 use trimip_core::{Aabb, Alpha, Camera, Scale, ViewSet};
@@ -44,7 +44,7 @@ fn views(check: &Check) -> Vec<usize> {
     check.suspects.iter().map(|suspect| suspect.view).collect()
 }
 
-/// Points on a grid as the cameras see them, `shift` pixels beside their places.
+/// Points on a grid as the cameras see them, `shift` pixels away from their projections.
 fn points(cameras: &[Camera], shift: f64) -> Vec<Point> {
     let place =
         |i: i32| DVec3::new(f64::from(i % 3 - 1), f64::from(i / 3 % 3 - 1), f64::from(i / 9 - 1)) * 0.6;
@@ -104,7 +104,7 @@ fn silhouettes_tell_poses_of_other_photographs() {
     posed(&mut scene.train, |frame, own| own[(11 * frame + 3) % own.len()]);
     let all = checks::silhouettes(&scene.train);
     assert!(doubted(&all) && all.warning(&scene.train).unwrap().contains("do not belong"), "{all:?}");
-    // Masks of what is to be ignored tell nothing.
+    // Masks of ignored pixels show no silhouettes.
     scene.train.alpha = Alpha::Kept;
     assert_eq!(checks::silhouettes(&scene.train).verdict, Verdict::Unknown);
 }
@@ -236,7 +236,7 @@ fn cameras_that_no_rig_has_are_named() {
     assert!(doubted(&found) && found.figure == "3 photographs to learn from", "{found:?}");
 }
 
-/// No data make a check fail.
+/// Without any data, no check fails.
 #[test]
 fn nothing_at_all_is_not_known() {
     let none = ViewSet {

@@ -1,4 +1,4 @@
-//! Depth images: the distances that they tell against the literal equation, which pixels are known, and what is wrong with a file.
+//! Depth images: their distances against the literal equation, the pixels that are known, and the errors of broken files.
 
 use crate::common::{
     ring::{arkitscenes, cameras, pinhole, polycam, save_images, transforms},
@@ -32,7 +32,7 @@ fn save(root: &Path, index: usize, image: impl Into<DynamicImage>) {
     image.into().save(root.join(path(index))).unwrap();
 }
 
-/// A scene of nine photographs with depth images, of which the first and the last are tested on, and its file.
+/// Writes a scene of nine photographs with depth images, and returns its file. The first and the last photograph are tested on.
 fn scene(root: &Path, intrinsics: Intrinsics, image: &Image) -> Value {
     save_images(root, [intrinsics.width, intrinsics.height]);
     let mut document = transforms(&cameras(intrinsics), intrinsics);
@@ -59,7 +59,7 @@ fn literal(k: &Intrinsics, coefficients: [f64; 4], [u, v]: [f64; 2]) -> f64 {
     (1.0 + x * x + y * y).sqrt()
 }
 
-/// Every known depth is one that the image has in that pixel. Returns how many there are at each scale.
+/// Asserts that the image has each known depth in that pixel. Returns the number of known depths at each scale.
 fn assert_distances(scene: &Scene, image: &Image, coefficients: [f64; 4]) -> Vec<usize> {
     let set = &scene.train;
     let finest = set.views[0].camera.intrinsics;
@@ -119,7 +119,7 @@ fn depths_along_the_optical_axis_become_distances_along_rays() {
         let scene = open(&settings(folder.path(), 2)).unwrap();
         assert!(scene.warnings.iter().all(|warning| !warning.contains("depth")), "{:?}", scene.warnings);
         let counts = assert_distances(&scene, &image, coefficients);
-        // Of a finer image, every second pixel along each axis.
+        // In a finer image, every second pixel along each axis is known.
         let pixels = if size[0] == 120 { 60 * 40 } else { (size[0] * size[1]) as usize };
         let coarse = pixels.min(600);
         assert_eq!(counts[0], 7 * pixels, "{size:?}");
@@ -131,7 +131,7 @@ fn depths_along_the_optical_axis_become_distances_along_rays() {
         );
         assert!(told(&scene, &line), "{line}: {:?}", scene.description);
         assert!(scene.train.depths.is_sorted_by_key(|known| known.pixel));
-        // Twice as much is the same.
+        // A second reading gives the same depths.
         assert_eq!(open(&settings(folder.path(), 2)).unwrap().train.depths, scene.train.depths);
     }
 }
@@ -147,7 +147,7 @@ fn photographs_that_are_halved_have_the_same_depths() {
     assert_eq!(assert_distances(&halved, &image, [0.0; 4]), [7 * 600]);
 }
 
-/// A picture of more pixels than count has one of each cell of a grid.
+/// Of an image with too many pixels, one pixel in each cell of a grid is known.
 #[test]
 fn of_dense_images_a_grid_of_pixels_is_known() {
     let folder = tempfile::tempdir().unwrap();
@@ -164,7 +164,7 @@ fn of_dense_images_a_grid_of_pixels_is_known() {
 fn unknown_depths_and_edges_tell_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut image = ImageBuffer::from_fn(60, 40, |x, _| Luma([if x < 30 { 2000 } else { 2500_u16 }]));
-    // A pixel that is between the surfaces, some that are unknown, and one that is too far to be measured.
+    // A pixel between the surfaces, some unknown ones, and one that is too far to be measured.
     image.put_pixel(45, 20, Luma([2250]));
     (0..10).for_each(|x| image.put_pixel(x, 7, Luma([0])));
     image.put_pixel(12, 30, Luma([u16::MAX]));
@@ -185,7 +185,7 @@ fn unknown_depths_and_edges_tell_nothing() {
     assert_distances(&scene, &image, [0.0; 4]);
 }
 
-/// Few pixels of such an image are known, as where a program drew its points into it.
+/// Few pixels of such an image are known, as if a program had drawn its points into it.
 #[test]
 fn sparse_images_are_read_whole() {
     let folder = tempfile::tempdir().unwrap();
@@ -233,7 +233,7 @@ fn tables_of_numpy_are_depth_images() {
             assert!(own.pixel == other.pixel && apart < 1e-6 * other.distance, "{shape}: {own:?} {other:?}");
         }
     }
-    // What is not finite, and what lies behind the camera, is unknown.
+    // Numbers that are not finite, and depths behind the camera, are unknown.
     let mut depths: Vec<f64> = metres().collect();
     (depths[0], depths[31], depths[62], depths[93]) = (f64::NAN, f64::INFINITY, -2.0, 0.0);
     let bytes = npy("<f8", "(20, 30)", depths.iter().map(|depth| depth.to_le_bytes().to_vec()));
@@ -387,7 +387,7 @@ fn what_is_wrong_with_a_depth_image_is_named() {
         let error = open(&settings(root, 1)).unwrap_err();
         assert!(error.exit_code() == 2 && !error.message.contains('\n'), "{error}");
         parts.iter().for_each(|part| assert!(error.message.contains(part), "{part}: {error}"));
-        // Files are no obstacle where depth images are not read.
+        // Broken files are no obstacle if depth images are not read.
         if !parts.iter().any(|part| part.contains('"')) {
             let config = trimip_data::settings::DataConfig { depths: false, ..settings(root, 1) };
             assert!(open(&config).unwrap().train.depths.is_empty());
@@ -431,7 +431,7 @@ fn depth_images_of_fisheyes_are_left_out() {
     assert!(told(&scene, "7 depth images of fisheye lenses are not read"), "{:?}", scene.warnings);
 }
 
-/// ARKit's depth images of 3:2, with how sure they are. Beyond 5 m they are guesses.
+/// ARKit's depth images of 3:2, with their confidence. Beyond 5 m they are guesses.
 #[test]
 fn phones_write_millimetres_and_how_sure_they_are() {
     let all = cameras(pinhole());
@@ -463,7 +463,7 @@ fn phones_write_millimetres_and_how_sure_they_are() {
             DynamicImage::from(confidence.clone()).save(root.join(sure).join(&name)).unwrap();
         }
         let scene = open(&settings(root, 1)).unwrap();
-        // Without those that are not sure, and the one that is far.
+        // All pixels but the unreliable ones and the one that is far.
         assert_eq!(scene.train.depths.len(), 7 * (27 * 20 - 1), "{phone}");
         let first = scene.train.depths[0];
         let k = scene.train.views[0].camera.intrinsics;

@@ -1,5 +1,5 @@
-//! Exports of other programs: the same cameras written by the conventions of OpenSfM, Bundler and Polycam are read as those of a
-//! transforms file, and what is broken is named.
+//! Exports of other programs: cameras written by the conventions of OpenSfM, Bundler and Polycam are read as those of a
+//! transforms file, and errors name what is broken.
 
 use crate::common::{
     ring::{assert_cameras, cameras, name, polycam, save_images, vision},
@@ -193,7 +193,7 @@ fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
         let rows: String = (0..3)
             .map(|i| format!("{} {} {} {}\n", axes.row(i).x, axes.row(i).y, axes.row(i).z, camera.origin[i]))
             .collect();
-        // Seven are trained and two validated on.
+        // Seven photographs are trained on, two are for validation.
         let name = format!("{}_{index:04}", index / 7);
         fs::write(root.join(format!("pose/{name}.txt")), rows + "0 0 0 1\n").unwrap();
         save_image(&root.join(format!("rgb/{name}.png")), 60, 40);

@@ -1,5 +1,5 @@
-//! Scenes on disk of which one file is changed at random open, or give an input error that names a file.
-//! `TRIMIP_FUZZ_CASES` is the number of cases of each. The readers alone are tried in `tests/tests/formats.rs`.
+//! Scenes on disk, with one file changed at random, open or give an input error that names a file. `TRIMIP_FUZZ_CASES`
+//! is the number of cases of each test. `tests/tests/formats.rs` tests the readers alone.
 
 use crate::common::{
     blender_scene,
@@ -19,9 +19,9 @@ enum Edit {
     Flip(Index, u8),
     Truncate(Index),
     Remove(Index, usize),
-    /// A text or the bytes of a number, over what is there.
+    /// Overwrites bytes with a text or the bytes of a number.
     Put(Index, Vec<u8>),
-    /// As `Put`, instead of a word or a line.
+    /// As `Put`, in place of a word or a line.
     Word(Index, Vec<u8>),
     Line(Index, Vec<u8>),
     Double(Index, usize),
@@ -81,7 +81,7 @@ fn edited(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
             }
             Edit::Put(at, with) => {
                 let at = at.index(end);
-                // Counts and numbers of binary files begin at multiples of 4 for the most part.
+                // Most counts and numbers of binary files begin at multiples of 4.
                 let at = if with.len() == 8 { at / 4 * 4 } else { at };
                 bytes.splice(at..(at + with.len()).min(end), with.iter().copied());
             }
@@ -99,7 +99,7 @@ fn edited(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
     bytes
 }
 
-/// The stated number of cases, or one that takes a few seconds.
+/// The stated number of cases, or a number that takes a few seconds.
 fn cases() -> u32 {
     std::env::var("TRIMIP_FUZZ_CASES").ok().and_then(|cases| cases.parse().ok()).unwrap_or(150)
 }
@@ -111,7 +111,7 @@ fn fuzz(cases: u32, files: usize, law: impl Fn(usize, Vec<Edit>) -> Result<(), T
     run.unwrap_or_else(|failure| panic!("{failure}"));
 }
 
-/// An error that a person can act on.
+/// Asserts that a user can act on an error.
 fn assert_told(error: &Error, names: &[&str]) -> Result<(), TestCaseError> {
     prop_assert_eq!(error.kind, ErrorKind::Input);
     prop_assert_eq!(error.exit_code(), 2);
@@ -236,8 +236,7 @@ fn scenes_of_a_changed_nsvf_layout_open_or_tell() {
     scenes(root, &["intrinsics.txt", "bbox.txt", "pose/0_0001.txt"]);
 }
 
-/// An archive of a scene of which some bytes are changed. Nothing of one that is refused is left, and nothing is written beside its
-/// folder.
+/// An archive of a scene with some bytes changed. If it is refused, nothing of it is left, and nothing is written outside of its folder.
 #[test]
 fn scenes_of_a_changed_archive_open_or_tell() {
     let folder = tempfile::tempdir().unwrap();
@@ -261,7 +260,7 @@ fn scenes_of_a_changed_archive_open_or_tell() {
         prop_assert_eq!(&names, expected);
         prop_assert!(opened.is_err() || names.len() == 2);
         let _ = fs::remove_dir_all(here.join("a"));
-        // Where names were changed, it is the scene that is refused.
+        // If names were changed, the unpacked scene may be refused instead.
         let unpacked = here.join("a").display().to_string();
         opened.map_or_else(|error| assert_told(&error, &["a.zip", &unpacked]), |_| Ok(()))
     });

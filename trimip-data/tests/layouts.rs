@@ -1,4 +1,4 @@
-//! Layouts: what one reads is what another writes, and what the files say is what the views hold.
+//! Layouts: one reads what another writes, and the views hold what the files say.
 
 use crate::common::{assert_same, blender_scene, frame, save_image, settings, write};
 use serde_json::{Value, json};
@@ -30,7 +30,7 @@ fn frames_override_the_file_and_defaults_fill_in() {
     assert_eq!(scene.train.scales[1].views, 2..4);
     assert_eq!(scene.train.scales[1].pixels, 2 * 16 * 12..2 * (16 * 12 + 8 * 6));
     assert_eq!((scene.test.len(), scene.train.views[1].name.as_str()), (2, "r_1"));
-    // One at a time is the same as all at once.
+    // Frames loaded one at a time equal those loaded at once.
     let frame = scene.test.load(1).unwrap();
     assert_eq!(frame.pixels_of(1), scene.train.pixels_of(3));
     assert!(scene.test.load(2).is_err());
@@ -102,7 +102,7 @@ fn an_undivided_file_holds_out_every_eighth_frame() {
     assert!(scene.train.views.iter().all(|view| view.camera.intrinsics.lens == bent));
 }
 
-/// A file without splits whose 16 cameras stand on a ring, every 22.5° in order.
+/// A file without splits whose 16 cameras are on a ring, every 22.5° in order.
 fn ring(root: &Path) -> Value {
     let frames: Vec<Value> = (0..16)
         .map(|i| {
@@ -155,7 +155,7 @@ fn a_sector_of_the_cameras_is_held_out_where_the_files_state_no_test_frames() {
     );
     assert!(!told("every 8th"), "{:?}", scene.description);
     assert!(open_test(&config).unwrap().frames.len() == scene.test.len());
-    // Test frames that are given are not replaced without a word.
+    // Given test frames are not replaced silently.
     config.holdout = 0;
     let names: Vec<String> = (0..16).map(|i| format!("images/{i:04}.png")).collect();
     (file["train_filenames"], file["test_filenames"]) = (json!(names[..12]), json!(names[12..]));
@@ -172,7 +172,7 @@ fn a_sector_of_the_cameras_is_held_out_where_the_files_state_no_test_frames() {
     config = DataConfig { holdout: 0, test_list: "test.txt".into(), ..config };
     let message = open(&config).unwrap_err().message;
     assert!(message.contains("data.test_list") && message.contains("data.holdout_by"), "{message}");
-    // A folder without test frames is as a file without splits.
+    // A folder without test frames is treated like a file without splits.
     fs::remove_file(&path).unwrap();
     write(&folder.path().join("transforms_train.json"), &ring(folder.path()));
     config.test_list = String::new();
@@ -225,18 +225,18 @@ fn a_written_multiscale_set_reads_back_the_same() {
             assert_same(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
         }
         assert_eq!(summary.images, ours.train.views.len() + ours.test.len() * config.scales as usize);
-        // Frames kept back belong to the set as all others do.
+        // Frames that are held out belong to the set like all others.
         let again = tempfile::tempdir().unwrap();
         let held = DataConfig { holdout: 2, ..config.clone() };
         assert_eq!(write_multiscale(&held, again.path(), &unwatched).unwrap().images, summary.images);
-        // A set is never written over.
+        // A set is never overwritten.
         assert!(
             write_multiscale(&config, written.path(), &unwatched)
                 .unwrap_err()
                 .message
                 .contains("exists already")
         );
-        // Fewer scales of it are the same as fewer scales of the source.
+        // Fewer scales of the set equal fewer scales of the source.
         let mut fewer = config.clone();
         fewer.scales = 2;
         assert_same(&open(&fewer).unwrap().train, &open(&settings(written.path(), 2)).unwrap().train);
@@ -340,7 +340,7 @@ fn progress_begins_at_nothing_rises_and_ends_with_every_row() {
         });
         let mut told = told.into_inner().unwrap();
         assert_eq!(told[0].0, 0);
-        // Threads tell in the order they come.
+        // Threads report in any order.
         told.sort_unstable();
         told.dedup();
         (told.len(), *told.last().unwrap())
@@ -348,7 +348,7 @@ fn progress_begins_at_nothing_rises_and_ends_with_every_row() {
     let read = watched(&|watch| drop(open_watched(&photographs, watch).unwrap()));
     assert_eq!(read, (1 + open(&photographs).unwrap().train.scales[0].views.len(), (train, train)));
     assert_eq!(watched(&|watch| drop(inspect(&photographs, watch).unwrap())), read);
-    // Every row that is rendered is told of: three views, then those and two more.
+    // Every row that is rendered is reported: three views, then those and two more.
     assert_eq!(watched(&|watch| drop(open_watched(&rendered, watch).unwrap())), (73, (72, 72)));
     let built = set.path().join("built");
     assert_eq!(watched(&|watch| drop(write_builtin(&rendered, &built, watch).unwrap())), (121, (120, 120)));

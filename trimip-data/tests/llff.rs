@@ -1,5 +1,5 @@
-//! LLFF captures: the rays of `poses_bounds.npy` are those of the same cameras in `transforms.json`, and what does not fit is
-//! refused with its place.
+//! LLFF captures: the rays of `poses_bounds.npy` are those of the same cameras in `transforms.json`, and data that do
+//! not fit are refused with their place.
 
 use crate::common::{assert_same, save_image, settings, write};
 use glam::{DMat3, DVec3};
@@ -126,7 +126,7 @@ fn photographs_in_another_size_have_their_focal_length_scaled() {
     let k = scene.train.views[0].camera.intrinsics;
     assert_eq!((k.width, k.height, k.fx, k.fy, k.cx, k.cy), (4, 3, FOCAL / 4.0, FOCAL / 4.0, 2.0, 1.5));
     assert!(scene.warnings.iter().any(|w| w.contains("0.2500 times as wide")), "{:?}", scene.warnings);
-    // The folder that is named is the one that is read.
+    // The named folder is the one that is read.
     capture(folder.path(), "images", 1);
     capture(folder.path(), "small", 2);
     let width = |images: &str| {

@@ -1,4 +1,4 @@
-//! Scenes on disk and what the readers make of them, as one program: a program for each file would take a minute more to link.
+//! Tests of the readers on scenes on disk, as one program: a program for each file would take a minute more to link.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! Masks: where they are found, what they mean, and what becomes of the pixels that they do not keep.
+//! Masks: where they are found, their meaning, and the pixels that they do not keep.
 
 use crate::common::{frame, settings, write};
 use image::{DynamicImage, ImageBuffer, Luma, Rgb};
@@ -62,7 +62,7 @@ fn pixel(scene: &Scene, x: usize, y: usize) -> [u8; 4] {
 #[test]
 fn masks_are_found_wherever_tools_put_them_and_mean_what_they_mean_there() {
     type Place = fn(usize) -> String;
-    // Place of the mask, whether its white is the left, and what alpha becomes.
+    // Path of the mask, whether its left part is white, and the resulting meaning of alpha.
     let cases: [(Place, bool, Alpha); 10] = [
         (|i| format!("masks/a/{i}.png"), false, Alpha::Straight),
         (|i| format!("masks/a/{i}.png.png"), false, Alpha::Straight),
@@ -109,7 +109,7 @@ fn masks_are_found_wherever_tools_put_them_and_mean_what_they_mean_there() {
         let both =
             with(root, |c| (c.train, c.masks) = (vec!["train".into(), "test".into()], config.masks.clone()));
         assert_eq!(open(&both).unwrap().train.alpha, alpha);
-        // Nothing of it without masks.
+        // With `data.masks` = "none", no mask is applied.
         let without = open(&with(root, |config| config.masks = "none".into())).unwrap();
         assert_eq!((without.train.alpha, pixel(&without, 3, 2)), (Alpha::Straight, [90, 91, 92, 255]));
     }
@@ -190,7 +190,7 @@ fn masks_that_look_wrong_are_told() {
         missing.contains("1 of 4 photographs, the first 3, have no mask and are kept whole"),
         "{missing}"
     );
-    // A folder that fits no photograph is told of, as its owner expects it to count.
+    // A folder of masks that fits no photograph gives a warning: its owner expects it to count.
     (0..3).for_each(|i| std::fs::remove_file(root.join(format!("masks/{i}.png"))).unwrap());
     mask(&root.join("masks/mask_0.png"), SIZE, middle);
     assert!(warnings(&with(root, |_| ())).contains("has no mask of a photograph"));
@@ -268,7 +268,7 @@ fn alpha_cannot_mean_two_things() {
     {
         assert!(error.exit_code() == 2 && error.message.contains(part), "{part}: {error}");
     }
-    // As an object, what is seen is what both keep.
+    // With the role of an object, a pixel is kept if both mask and alpha keep it.
     let config = with(folder.path(), |config| config.mask_role = MaskRole::Object);
     let object = open(&config).unwrap();
     let (whole, kept) = (open(&with(folder.path(), |c| c.masks = "none".into())).unwrap(), &object.train);

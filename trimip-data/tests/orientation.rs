@@ -1,4 +1,4 @@
-//! Photographs as cameras store them: orientation tags, formats that are not read, names that do not tell the format.
+//! Photographs as cameras store them: orientation tags, formats that are not read, names that belie the format.
 
 use crate::common::{blender_scene, frame, save_image, settings, write};
 use image::{
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::{fs, path::Path};
 use trimip_data::{Scene, inspect, open, unwatched};
 
-/// An EXIF block that holds an orientation alone.
+/// An EXIF block with nothing but an orientation.
 fn exif(orientation: u8) -> Vec<u8> {
     [&b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0"[..], &[orientation], &[0; 6]].concat()
 }
@@ -35,7 +35,7 @@ fn save(path: &Path, width: u32, height: u32, orientation: u8) {
     fs::write(path, bytes).unwrap();
 }
 
-/// A scene of three photographs of one stored size and tag, with what the file states of their size.
+/// A scene of three photographs of one stored size and tag; `stated` is their size in the file.
 fn scene(root: &Path, extension: &str, stored: (u32, u32), orientation: u8, stated: Value) -> Scene {
     let names: Vec<String> = (0..3).map(|i| format!("images/{i}.{extension}")).collect();
     names.iter().for_each(|name| save(&root.join(name), stored.0, stored.1, orientation));
@@ -102,7 +102,7 @@ fn formats_that_are_not_read_are_named_with_what_converts_them() {
     for part in ["frame 1 (./train/r_1)", "r_1.png is a HEIC image, which is not read", "heif-convert"] {
         assert!(inside.contains(part), "{part}: {inside}");
     }
-    // Phones write IMG.HEIC, and the entries name what was converted on another machine.
+    // Phones write IMG.HEIC, and the entries name files that were converted on another machine.
     let beside = error(&|root| {
         fs::remove_file(root.join("train/r_1.png")).unwrap();
         fs::write(root.join("train/r_1.HEIC"), heic).unwrap();

@@ -1,4 +1,4 @@
-//! Captures of phones: the same cameras as Record3D, ARKitScenes and NeRFCapture write them, and what is broken.
+//! Captures of phones: the same cameras as Record3D, ARKitScenes and NeRFCapture write them, and broken files.
 
 use crate::common::{
     ring::{arkitscenes, assert_cameras, cameras, pinhole, save_images},
@@ -33,7 +33,7 @@ fn record3d(all: &[Camera]) -> Value {
 #[test]
 fn captures_of_record3d_are_read() {
     let all = cameras(pinhole());
-    // The names of the file and of the folder, and how photographs are called.
+    // The names of the file and of the folder, and the digits in names of photographs.
     for (file, folder, zeros) in [
         ("metadata.json", "rgb", 1),
         ("metadata", "rgbd", 1),
@@ -137,7 +137,7 @@ fn scenes_of_arkitscenes_are_read() {
         "{:?}",
         scene.warnings
     );
-    // A photograph that was deleted is none of the scene.
+    // A photograph that was deleted is left out of the scene.
     fs::remove_file(root.join("lowres_wide/41069021_305.400.png")).unwrap();
     assert_eq!(open(&settings(root, 1)).unwrap().train.views.len(), 7);
     let poses = root.join("lowres_wide.traj");
@@ -170,7 +170,7 @@ fn scenes_of_arkitscenes_are_read() {
     assert!(refused(root).contains("has no frame with a pose"), "{}", refused(root));
 }
 
-/// Photographs without ending, and depths that are called almost as they are.
+/// Photographs without ending, and depth images with almost the same names.
 #[test]
 fn captures_of_nerfcapture_are_blender_layouts() {
     let all = cameras(pinhole());

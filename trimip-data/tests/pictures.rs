@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use std::{fs, io::Cursor, path::Path};
 use trimip_data::{Scene, in_memory::photograph, open};
 
-/// The formats beside PNG and JPEG, with the endings of their files.
+/// The formats other than PNG and JPEG, with the endings of their files.
 const FORMATS: [(ImageFormat, &[&str]); 3] = [
     (ImageFormat::WebP, &["webp", "WEBP"]),
     (ImageFormat::Tiff, &["tif", "tiff", "TIF"]),
@@ -77,7 +77,7 @@ const SOFT: &str = "524946466000000057454250565038580a000000100000000f00000b0000
     34000000d001009d012a10000c0000c01225a00274ba01f80003b000fef36997feef37ee7cfdcf9ff17bffeb60feb60f\
     eb60ffeb40000000";
 
-/// A scene of ten frames whose entries end so, with photographs that end otherwise.
+/// A scene of ten frames whose entries have the ending `named`, and whose photographs have the ending `stored`.
 fn scene(root: &Path, named: &str, stored: &str) -> Result<Scene, String> {
     (0..10).for_each(|i| save_image(&root.join(format!("images/{i}{stored}")), 16, 12));
     let frames: Vec<Value> = (0..10).map(|i| frame(&format!("images/{i}{named}"))).collect();
@@ -130,7 +130,7 @@ fn webp_files_hold_the_parts_that_they_state() {
         bytes[at..at + with.len()].copy_from_slice(with);
         photograph("a file", &bytes).unwrap_err().message
     };
-    // The widths of the file and of the picture, and the lengths of the last part and of its first partition.
+    // The widths of the file and of the picture, and the lengths of the last chunk and of its first partition.
     let picture = whole.windows(4).position(|name| name == b"VP8 ").unwrap();
     assert!(put(24, &[255, 63, 0]).contains("a picture has another size than the file states"));
     assert!(put(picture + 14, &[255, 63]).contains("a picture has another size than the file states"));
@@ -138,7 +138,7 @@ fn webp_files_hold_the_parts_that_they_state() {
     assert!(put(picture + 8, &[0xf0, 0xff, 0xff]).contains("a part ends behind the file"));
 }
 
-/// Pictures of an animation in each other, as deep as the file is long: looking at them takes no more of the stack than one.
+/// Nested pictures of an animation, as deep as the file is long: checking them takes no more stack than one.
 #[test]
 fn webp_pictures_hold_no_others() {
     let depth = 200_000_u32;
@@ -152,7 +152,7 @@ fn webp_pictures_hold_no_others() {
     assert!(message.contains("a picture of the animation holds another"), "{message}");
 }
 
-/// As for WebP, of both orders of bytes and of both sizes of entries.
+/// As for WebP, with both byte orders and both sizes of entries.
 #[test]
 fn tiff_files_hold_the_values_that_they_state() {
     let color = ImageBuffer::from_fn(19, 11, |x, y| Rgb([x as u8, y as u8, 9]));
@@ -179,7 +179,7 @@ fn tiff_files_hold_the_values_that_they_state() {
     }
 }
 
-/// Whatever follows the place at which a file ends: no pixels are made up.
+/// Wherever a file ends, no pixels are made up.
 #[test]
 fn truncated_files_are_errors_wherever_pixels_are_missing() {
     let image = ImageBuffer::from_fn(33, 17, |x, y| Rgb([(x * 7) as u8, (y * 13) as u8, (x * y) as u8]));

@@ -184,7 +184,7 @@ fn models_of_colmap_are_those_of_the_registry() {
 
 #[test]
 fn an_orthographic_camera_is_stated_by_pixels_a_unit_or_by_its_width() {
-    // The longer side of 24 pixels is 3 units wide. The angle of a lens that is not in use says nothing.
+    // The longer side of 24 pixels is 3 units wide. The angle of a lens that is not in use has no effect.
     let scale = json!({ "camera_model": "ORTHOGRAPHIC", "ortho_scale": 3.0, "camera_angle_x": 0.7 });
     let k = stated(scale.clone(), json!({})).unwrap().intrinsics;
     assert_eq!((k.lens.model, k.fx, k.fy, k.cx, k.cy), (Model::Orthographic, 8.0, 8.0, 12.0, 8.0));
@@ -206,7 +206,7 @@ fn an_orthographic_camera_is_stated_by_pixels_a_unit_or_by_its_width() {
 #[test]
 fn the_built_in_scene_has_its_size_in_an_orthographic_picture() {
     let k = Model::Orthographic.example(240, 240);
-    // From above, along −z, every surface lies where its x and y are: the picture is the scene's shadow at 80 pixels a unit.
+    // Seen from above, along −z, every surface lies at its x and y: the picture is the scene's shadow at 80 pixels per unit.
     let camera = Camera::look_at(k, DVec3::new(0.0, 0.0, 5.0), DVec3::ZERO, DVec3::Y);
     let pixels = builtin::render(&camera, 1, Finish::Mixed, &|| ());
     for (i, pixel) in pixels.iter().enumerate() {

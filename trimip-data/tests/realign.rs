@@ -1,4 +1,4 @@
-//! COLMAP models whose parts stand apart: a room that a model shows twice.
+//! COLMAP models with detached parts: a room that a model shows twice.
 
 use crate::common::{colmap::Sparse, settings};
 use glam::{DMat3, DQuat, DVec3};
@@ -10,7 +10,7 @@ use trimip_data::{Scene, open, settings::DataConfig};
 const SIZE: [u32; 2] = [240, 180];
 const FOCAL: f64 = 200.0;
 const FRAMES: usize = 32;
-/// The first frames are those of the part that stands apart.
+/// The first frames are those of the detached part.
 const PART: usize = 10;
 
 /// Half the sides of a room around the origin.
@@ -43,7 +43,7 @@ fn shade(at: DVec3) -> f64 {
         + 0.2 * noise(at - DVec3::splat(3.1), 0.6)
 }
 
-/// Where a ray from within the room meets a wall.
+/// The point at which a ray from within the room meets a wall.
 fn wall(origin: DVec3, direction: DVec3) -> DVec3 {
     let t = (0..3).map(|axis| (ROOM[axis] * direction[axis].signum() - origin[axis]) / direction[axis]);
     origin + t.fold(f64::INFINITY, f64::min) * direction
@@ -58,7 +58,7 @@ fn pose(frame: usize) -> (DMat3, DVec3) {
     (DMat3::from_cols(right, ahead.cross(right), ahead).transpose(), centre)
 }
 
-/// Where a frame sees a place, pixels.
+/// The pixel at which a frame sees a place.
 fn seen([rotation, centre]: [DMat3; 2], at: DVec3) -> Option<[f64; 2]> {
     let local = rotation * (at - centre.x_axis);
     let [x, y] = [0, 1].map(|i| FOCAL * local[i] / local.z + 0.5 * f64::from(SIZE[i]));
@@ -75,7 +75,7 @@ fn photograph(frame: usize) -> GrayImage {
     })
 }
 
-/// How the part stands apart: the room around its frames is another one.
+/// Scale, rotation and shift of the room around the frames of the detached part.
 fn apart(is_torn: bool) -> (f64, DMat3, DVec3) {
     match is_torn {
         true => (
@@ -87,7 +87,7 @@ fn apart(is_torn: bool) -> (f64, DMat3, DVec3) {
     }
 }
 
-/// The model of the room; torn if frames of the part share no point with the others but five wrong ones.
+/// The model of the room; torn if frames of the part share no point with the others.
 fn model(is_torn: bool) -> Sparse {
     let (scale, turn, shift) = apart(is_torn);
     let mut sparse = Sparse::default();
@@ -164,7 +164,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
     scene.train.views.iter().map(|view| view.camera).collect()
 }
 
-/// Distances between pairs of cameras over that of the truth, and angles between them.
+/// Largest error of the distances and angles between pairs of cameras, in units of the truth and in radians.
 fn misplaced(cameras: &[Camera], frames: &[usize]) -> f64 {
     let truth = |i: usize| pose(frames[i]);
     let half = cameras.len() / 2;
@@ -183,7 +183,7 @@ fn misplaced(cameras: &[Camera], frames: &[usize]) -> f64 {
     worst
 }
 
-/// Frames that are trained: all but every eighth in the order of their names.
+/// Training frames: all but every eighth in the order of their names.
 fn trained() -> Vec<usize> {
     let mut frames: Vec<usize> = (0..FRAMES).collect();
     frames.sort_by_key(|frame| format!("walk{frame}"));
@@ -208,7 +208,7 @@ fn a_part_that_stands_apart_is_aligned() {
     }
     let worst = misplaced(&cameras(&aligned), &trained());
     assert!(worst < 0.01, "{worst} of a room 4 wide");
-    // Points of both parts are one: a wall is where it is, not where its copy was.
+    // Points of both parts are joined: those of a wall lie at the wall, not at its copy.
     let far =
         aligned.points.iter().filter(|point| DVec3::from(point.position).abs().max_element() > 2.3).count();
     assert!(20 * far < aligned.points.len(), "{far} of {}", aligned.points.len());
@@ -231,7 +231,7 @@ fn a_model_in_one_piece_stays() {
     assert!(misplaced(&cameras(&on), &trained()) < 1e-6);
 }
 
-/// Without photographs that tell, nothing is moved: these are black.
+/// Without evidence in the photographs, which are black, nothing is moved.
 #[test]
 fn a_part_whose_photographs_show_nothing_in_common_stays() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! Camera parameters of RealityCapture and RealityScan: a line is read as RealityCapture's own formulas say, and what is broken is named.
+//! Camera parameters of RealityCapture and RealityScan: a line is read as RealityCapture's own formulas say, and errors
+//! name what is broken.
 
 use crate::common::{save_image, settings};
 use glam::{DMat3, DVec3};

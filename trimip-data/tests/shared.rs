@@ -1,4 +1,4 @@
-//! The shared photographs: the public multi-scale set bit for bit, and scenes of other makes. Without the folder
+//! The shared photographs: the public multi-scale set bit for bit, and scenes of other origins. Without the folder
 //! (`TRIMIP_SHARED`) each test says so and passes.
 
 use crate::common::{settings, shared};
@@ -91,7 +91,7 @@ fn photographs_with_their_own_cameras_are_read() {
     }
 }
 
-/// The middle one of some numbers.
+/// The median of some numbers.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
@@ -132,11 +132,11 @@ fn a_model_of_colmap_sees_its_points_where_colmap_did() {
     }
     assert_eq!((binary.points.len(), &binary.points), (12_453, &text.points));
     assert_eq!(binary.stated, text.stated);
-    // The photographs are halved until they fit, and places with them: pixels of the originals count.
+    // The photographs are halved until they fit, and places with them; errors are in pixels of the originals.
     let finest = f64::from(1080 / binary.train.views[0].camera.intrinsics.width);
     let misses: Vec<Vec<f64>> =
         misses(&binary).into_iter().map(|own| own.iter().map(|miss| miss * finest).collect()).collect();
-    // COLMAP's error of a point is the mean of its misses; the file has places in thousandths of a pixel.
+    // COLMAP's error of a point is the mean of its misses; the file states places in thousandths of a pixel.
     for (point, misses) in binary.points.iter().zip(&misses) {
         let mean = misses.iter().sum::<f64>() / misses.len() as f64;
         assert!((mean - point.error.unwrap()).abs() < 2e-3, "{mean} {point:?}");
@@ -145,7 +145,7 @@ fn a_model_of_colmap_sees_its_points_where_colmap_did() {
     println!("{} places, median miss {:.3} pixels", all.len(), median(all.clone()));
     assert_eq!(all.len(), 81_798);
     assert!(median(all) < 1.0);
-    // Of the whole scene, its transforms file has the word, and the model is found by name.
+    // For the whole scene, the transforms file takes precedence, so the model is chosen by `data.format`.
     let whole = DataConfig { format: "colmap".into(), most_pixels: 2e5, ..settings(&fox, 1) };
     let scene = open(&whole).unwrap();
     assert_eq!((scene.train.views.len(), scene.test.len()), (43, 7));

@@ -122,7 +122,7 @@ fn render_cones(camera: &Camera, [x, y]: [f64; 2], n: u32, finish: Finish) -> [u
     mean(color, hits, step)
 }
 
-/// The pixel of `hits` rays with the sum `color`, each of which stands for `step`² of the pixel.
+/// The pixel of `hits` rays with the sum `color`; each ray covers `step`² of the pixel.
 fn mean(color: DVec3, hits: u32, step: f64) -> [u8; 4] {
     if hits == 0 {
         return [0; 4];

@@ -15,7 +15,7 @@ static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {
 const AMBIENT: (f64, f64) = (0.32, 0.14);
 
 const GROUND_TOP: f64 = -0.44;
-/// Reflectance above which a surface also reflects the other objects, not the environment alone.
+/// Reflectance from which a surface also reflects the other objects, not the environment alone.
 const MIRROR: f64 = 0.5;
 
 struct Object {

@@ -1,5 +1,5 @@
-//! Exposure: photographs of nearby cameras show much the same and are about equally bright. Brightness is the mean of linear
-//! luminance over what is kept of a photograph, in stops (powers of two) below white.
+//! Exposure: photographs of nearby cameras show much the same and are about equally bright. Brightness is the mean
+//! linear luminance of the kept pixels of a photograph, in stops (powers of two) relative to white.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -8,15 +8,14 @@ use super::{
 use glam::DVec3;
 use trimip_core::{Alpha, Camera, ViewSet};
 
-/// Difference from its neighbours in stops from which a photograph is doubted: cameras change exposure in steps of a
-/// third.
+/// A photograph is doubted if it differs from its neighbours by more than this, stops: cameras change exposure in steps of a third.
 const MOST_STOPS: f64 = 0.5;
 
-/// More stops for each radian between the views: what a matt ball changes by, lit at 45° to the view (the logarithmic slope of
-/// Lambert's phase function).
+/// Further stops allowed for each radian between the views: the change of a matt ball that is lit at 45° to the view
+/// (the logarithmic slope of Lambert's phase function).
 const STOPS_PER_RADIAN: f64 = 1.0;
 
-/// Nearest views that one is compared with.
+/// Number of nearest views that a view is compared with.
 const NEIGHBOURS: usize = 4;
 
 /// Fewest photographs that are compared.
@@ -46,7 +45,7 @@ pub fn stops(pixels: &[[u8; 4]], alpha: Alpha) -> Option<f64> {
     (count > 0).then(|| (sum / count as f64).max(DARKEST).log2())
 }
 
-/// The light that an sRGB value stands for.
+/// Linear light of an sRGB value.
 fn linear(value: f64) -> f64 {
     if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
@@ -105,7 +104,7 @@ pub fn brightness(train: &ViewSet) -> Check {
     Check { name: NAME, figure, limit, verdict, suspects, values }
 }
 
-/// Angle to and brightness of the views nearest to one, by place and direction.
+/// Angle and brightness of the views nearest to `view` in position and direction.
 fn nearest(cameras: &[Camera], stops: &[Option<f64>], view: usize) -> Vec<(f64, f64)> {
     let midst = cameras.iter().map(|camera| camera.origin).sum::<DVec3>() / cameras.len() as f64;
     let size =

@@ -1,4 +1,4 @@
-//! A check and what it found: its figure, its limit, its conclusion and the views beyond the limit.
+//! The result of a check: its figure, its limit, its conclusion and the views beyond the limit.
 
 use super::views::name;
 use trimip_core::ViewSet;
@@ -8,9 +8,9 @@ use trimip_core::ViewSet;
 pub enum Verdict {
     /// Nothing is beyond a limit.
     Fine,
-    /// Something is; the text says what to do.
+    /// Something is beyond a limit; the text says what to do.
     Suspicious(&'static str),
-    /// The data do not tell.
+    /// The data do not allow the check.
     Unknown,
 }
 
@@ -19,27 +19,27 @@ pub enum Verdict {
 pub struct Suspect {
     /// Index among the views of the finest scale.
     pub view: usize,
-    /// What was measured of it.
+    /// Its measured value, in words.
     pub figure: String,
 }
 
 /// Figures of the training views.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Values {
-    /// What they are, with their unit.
+    /// Name of the quantity, with its unit.
     pub name: &'static str,
     /// One per view of the finest scale; `None` where it is not known.
     pub of: Vec<Option<f64>>,
 }
 
-/// A check and what it found.
+/// The result of a check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Check {
-    /// What is checked.
+    /// Name of the check.
     pub name: &'static str,
-    /// What was measured.
+    /// The measurement, in words.
     pub figure: String,
-    /// What would be suspicious, and why.
+    /// The condition that would be suspicious, and why.
     pub limit: String,
     /// The conclusion.
     pub verdict: Verdict,
@@ -49,7 +49,7 @@ pub struct Check {
     pub values: Vec<Values>,
 }
 
-/// Views named in a warning.
+/// Most views named in a warning.
 const NAMED: usize = 4;
 
 impl Check {

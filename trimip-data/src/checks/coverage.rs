@@ -1,5 +1,5 @@
-//! The box against the object: rays of pixels that show the object meet the planned box, or a part of the object is cut off.
-//! World units.
+//! Checks the planned box against the object: if the ray of a pixel that shows the object misses the box, the box cuts
+//! off a part of the object. World units.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -7,7 +7,7 @@ use super::{
 };
 use trimip_core::{Aabb, ViewSet, scene::silhouettes};
 
-/// Share of a view's object outside of the box from which it is doubted: less is the soft edge of a silhouette.
+/// A view is doubted if more than this share of its object is outside of the box: less is the soft edge of a silhouette.
 const MOST_CUT: f64 = 0.02;
 
 /// Smallest side of the images in pixels, if they are that large.
@@ -21,7 +21,7 @@ const OBJECT: u8 = 128;
 
 const NAME: &str = "box around the object";
 
-/// Checks that the box holds what the silhouettes show. `aabb` is `None` for a space without end.
+/// Checks that the box holds the object in the silhouettes. `aabb` is `None` for unbounded space.
 pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
     let limit = format!("more than {:.0} % of the object in a view beside the box", 100.0 * MOST_CUT);
     let Some(aabb) = aabb else {

@@ -1,5 +1,5 @@
-//! Doubles: cameras of one pose with different photographs, and one photograph with different poses. A photograph that is
-//! both trained and tested on makes measures too good.
+//! Duplicates: different photographs with one pose, and one photograph with different poses. A photograph that is both
+//! trained and tested on makes test results too good.
 
 use super::{
     check::{Check, Suspect, Verdict},
@@ -8,11 +8,11 @@ use super::{
 use std::collections::HashMap;
 use trimip_core::{Camera, ViewSet};
 
-/// Places closer than this share of the cameras' extent, and axes that differ by less, are the same: files state poses to
-/// six digits or more, and no hand holds a camera that still.
+/// Cameras closer than this share of their extent, with axes that differ by less, count as one pose: files state poses
+/// to six digits or more, and no hand holds a camera that still.
 const SAME: f64 = 1e-6;
 
-/// Smallest side of compared images in pixels, if they are that large: two photographs are never equal there.
+/// Smallest side of compared images in pixels, if they are that large: two different photographs are never equal at this size.
 const SIDE: u32 = 32;
 
 /// True for cameras at one place with the same axes.
@@ -47,7 +47,7 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
         .filter(|(_, camera)| cameras.iter().any(|other| same(camera, other, extent)))
         .map(|(name, _)| name.as_str())
         .collect();
-    // A set that is trained and tested on as a whole is meant so.
+    // If all test frames are training frames, this is intended.
     let leaked = if leaked.len() == test.len() { Vec::new() } else { leaked };
     let mut figure = match suspects.len() {
         0 => format!("{} training cameras have different poses", cameras.len()),
@@ -66,7 +66,7 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
     Check { name: "poses used twice", figure, limit, verdict, suspects, values: Vec::new() }
 }
 
-/// Checks that no photograph is that of two training frames.
+/// Checks that no two training frames have the same photograph.
 pub fn photographs(train: &ViewSet) -> Check {
     const NAME: &str = "photographs used twice";
     let limit = "two training photographs with the same pixels".to_string();
@@ -77,7 +77,7 @@ pub fn photographs(train: &ViewSet) -> Check {
     let mut suspects = Vec::new();
     for (view, index) in scale.views.clone().enumerate() {
         let pixels = train.pixels_of(index);
-        // Of one colour, as a mask that keeps nothing makes it, it is no photograph.
+        // An image of one colour is not compared: a mask that keeps nothing makes such images.
         if pixels.iter().all(|pixel| *pixel == pixels[0]) {
             continue;
         }

@@ -1,5 +1,5 @@
-//! Axes of cameras: photographs of a subject have it in front of the camera. Poses with other axes than those of the
-//! file's layout look away from the place where their optical axes meet.
+//! Axes of cameras: a camera has its subject in front of it. Cameras with other axes than those of the file's layout
+//! look away from the place where their optical axes meet.
 
 use super::{
     check::{Check, Suspect, Verdict},
@@ -8,8 +8,8 @@ use super::{
 use crate::Point;
 use trimip_core::{Camera, ViewSet, scene_plan};
 
-/// Share of the cameras with their common focus in front of them below which axes are doubted: turned axes have 0, a
-/// walk through rooms about one half.
+/// Axes are doubted if fewer than this share of the cameras have their common focus in front of them: turned axes have
+/// 0, a walk through rooms about one half.
 const LEAST_AHEAD: f64 = 0.2;
 
 /// Share above which the cameras surround a subject, and the few that look away are doubted.
@@ -17,8 +17,8 @@ const SURROUNDING: f64 = 0.9;
 
 const NAME: &str = "axes of cameras";
 
-/// Checks that the cameras look at what their optical axes have in common. Points that views saw tell more: with them
-/// only views that look away from the others are doubted.
+/// Checks that the cameras look towards the place where their optical axes meet. Points with tracks are better
+/// evidence: with them, only single views that look away are doubted.
 pub fn focus(train: &ViewSet, points: &[Point]) -> Check {
     let limit = format!(
         "less than {:.0} % of the cameras look towards the place where their axes meet, or single ones look away where {:.0} % \

@@ -1,5 +1,5 @@
-//! Checks of a scene before it is trained: figures that tell wrong poses, axes, exposures, doubles and boxes. Every check is a
-//! function of typed data, with its limits as constants; none decodes a photograph.
+//! Checks of a scene before training: figures that reveal wrong poses, axes, exposures and boxes, and duplicates. Every
+//! check is a function of typed data, with its limits as constants; none decodes a photograph.
 
 mod brightness;
 mod check;
@@ -26,7 +26,7 @@ pub use views::{coarsest, name};
 use crate::Point;
 use trimip_core::{Aabb, Camera, ViewSet};
 
-/// What is checked.
+/// Data of the scene to check.
 #[derive(Clone, Copy, Debug)]
 pub struct Subject<'a> {
     /// The training views.
@@ -35,11 +35,11 @@ pub struct Subject<'a> {
     pub test: &'a [(String, Camera)],
     /// Points of structure from motion, with the training views that saw them.
     pub points: &'a [Point],
-    /// The planned box, world units; `None` for a space that has no end.
+    /// The planned box, world units; `None` for unbounded space.
     pub aabb: Option<&'a Aabb<f64>>,
 }
 
-/// Makes all checks.
+/// Runs all checks.
 pub fn all(subject: &Subject<'_>) -> Vec<Check> {
     let Subject { train, test, points, aabb } = *subject;
     vec![

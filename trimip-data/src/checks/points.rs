@@ -1,5 +1,5 @@
-//! Points of structure from motion against poses: where a camera projects the points that it saw, and whether they are in
-//! front of it. Pixels of the photographs as they are read.
+//! Checks poses against points of structure from motion: the reprojection errors of the points that a camera saw, and
+//! whether they are in front of it. Errors are in pixels of the photographs as they are read.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -9,7 +9,7 @@ use crate::{Point, points::Observation};
 use glam::DVec3;
 use trimip_core::{Camera, ViewSet};
 
-/// Median reprojection error of a view that is doubted, pixels: bundle adjustment leaves about one.
+/// A view is doubted above this median reprojection error, pixels: bundle adjustment leaves about one.
 const MOST_PIXELS: f64 = 3.0;
 
 /// The same as a multiple of the median of all views.
@@ -18,13 +18,13 @@ const MOST_TIMES: f64 = 4.0;
 /// An error below this many pixels blurs nothing and is never doubted.
 const NEGLIGIBLE: f64 = 1.0;
 
-/// Fewest points of a view whose median means anything.
+/// Fewest points of a view whose median is meaningful.
 const LEAST_POINTS: usize = 8;
 
-/// Share of the points in front of the cameras that saw them below which axes are doubted: rightly it is 1.
+/// Axes are doubted if fewer than this share of the points are in front of the cameras that saw them: correct poses have 1.
 const LEAST_AHEAD: f64 = 0.95;
 
-/// Points as the views saw them: the point's place, what the view saw, and its camera.
+/// All observations: the position of the point, the observation, and the camera of its view.
 fn observed<'a>(
     cameras: &'a [Camera],
     points: &'a [Point],
@@ -35,7 +35,7 @@ fn observed<'a>(
     })
 }
 
-/// Checks that every view has its points where it saw them.
+/// Checks that points project to where the views saw them.
 pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     const NAME: &str = "reprojection of points";
     let limit = format!(
@@ -45,7 +45,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     let cameras = cameras(train);
     let mut errors: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
     for (position, seen, camera) in observed(&cameras, points) {
-        // A point that the camera cannot see is far off.
+        // A point without an image in the camera counts as far off.
         errors[seen.view as usize].push(seen.error(position, camera).unwrap_or(f64::MAX));
     }
     let enough = |errors: Vec<f64>| if errors.len() < LEAST_POINTS { None } else { median(errors) };
@@ -78,7 +78,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
         ),
     };
     let suspects = doubted.into_iter().map(|(view, error)| Suspect { view, figure: told(error) }).collect();
-    // What is nowhere has no figure.
+    // A view whose points are nowhere near has no value.
     let of = medians.into_iter().map(|error| error.filter(|error| *error < 1e4)).collect();
     let values = vec![Values { name: "reprojection error / pixels", of }];
     Check { name: NAME, figure, limit, verdict, suspects, values }
@@ -96,7 +96,7 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     for (position, seen, camera) in observed(&cameras, points) {
         let at = camera.rotation.transpose() * (position - camera.origin);
         let [front, all] = &mut counts[seen.view as usize];
-        // A fisheye sees to the side, and behind it.
+        // A fisheye also sees to the side and behind itself.
         *front += u32::from(at.z < 0.0 || camera.intrinsics.image_of(at).is_some());
         *all += 1;
     }

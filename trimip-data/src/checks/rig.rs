@@ -1,4 +1,4 @@
-//! The cameras as a whole: whether they are enough, stand together, and have lenses that cameras have.
+//! Checks the cameras as a whole: whether they are enough, whether some are far from the others, and whether their lenses are plausible.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -14,10 +14,10 @@ use trimip_core::{
 /// Fewest photographs from which a scene is usually learned.
 const FEWEST: usize = 8;
 
-/// Fields of view across the longer side that cameras have, degrees: from a long lens to a wide one.
+/// Plausible fields of view across the longer side, degrees: from a long lens to a wide one.
 const FIELDS: [f64; 2] = [4.0, 150.0];
 
-/// Distance of the principal point from the middle of the picture, as a fraction of the side, from which it is doubted.
+/// Largest plausible distance of the principal point from the middle of the picture, as a fraction of the side.
 const MOST_SHIFT: f64 = 0.25;
 
 /// Checks that there are enough photographs.
@@ -42,7 +42,7 @@ pub fn number(train: &ViewSet) -> Check {
     }
 }
 
-/// Checks that no camera stands far from all others.
+/// Checks that no camera is far from all others.
 pub fn stray(train: &ViewSet) -> Check {
     let cameras = cameras(train);
     let strays = strays(&cameras).into_iter();
@@ -63,7 +63,7 @@ pub fn stray(train: &ViewSet) -> Check {
     }
 }
 
-/// Checks that fields of view and principal points are those of cameras.
+/// Checks that fields of view and principal points are plausible.
 pub fn optics(train: &ViewSet) -> Check {
     let cameras = cameras(train);
     let perspective = |camera: &&Camera| camera.intrinsics.lens.model == Model::Perspective;

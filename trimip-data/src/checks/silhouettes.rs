@@ -1,5 +1,5 @@
-//! Silhouettes against poses: the visual hull of the training silhouettes, seen by every camera again, covers what the
-//! photographs show. Shuffled poses have no common hull; one wrong pose or mask disagrees with the hull of the others.
+//! Checks silhouettes against poses: the visual hull of the training silhouettes, projected into every camera, covers the object
+//! in its photograph. Shuffled poses have no common hull; one wrong pose or mask disagrees with the hull of the others.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -20,15 +20,16 @@ const LEAST_MEDIAN_COVERED: f64 = 0.85;
 /// is too large, because few other views look along a flat side.
 const LEAST_SHARE: f64 = 0.8;
 
-/// The share of a view's silhouette that the hull covers is doubted below this share of the median: whatever carves, the
-/// hull holds the object.
+/// A view is doubted if the share of its silhouette that the hull covers is below this share of the median: whichever
+/// views carve it, the hull holds the object.
 const LEAST_COVERED: f64 = 0.9;
 
-/// One photograph in this many may show background at a place of the hull, so that a wrong view is told from the others
-/// instead of carving them all. More would fill what only a few views along a flat side carve; fewer than ten have to agree.
+/// Of at least `DISSENT[0]` photographs that see a place of the hull, one in `DISSENT[1]`, but at least one, may show
+/// background there. A single wrong view is then doubted instead of carving the hull of all. More tolerance would fill
+/// parts that only a few views along a flat side carve. Fewer than `DISSENT[0]` photographs have to agree.
 const DISSENT: [usize; 2] = [10, 32];
 
-/// Share of the views that see the hull.
+/// Least share of the views that see a place of the hull.
 const COMMON: f64 = 0.5;
 
 /// Cells along each side of the hull: its error is a hundredth of the object.
@@ -37,10 +38,10 @@ const CELLS: usize = 80;
 /// Largest number of silhouettes that carve, evenly spread: more change the hull by less than a cell.
 const CARVERS: usize = 64;
 
-/// Fewest silhouettes that have a hull worth its name.
+/// Fewest silhouettes that give a useful hull.
 const LEAST_VIEWS: usize = 4;
 
-/// Smallest side of the images in pixels, if they are that large: thin parts stay.
+/// Smallest side of the images in pixels, if they are that large: thin parts of the object are preserved.
 const SIDE: u32 = 128;
 
 /// Rays along the longer side of each view.
@@ -51,7 +52,7 @@ const OBJECT: u8 = 128;
 
 const NAME: &str = "silhouettes and poses";
 
-/// What a photograph shows of the object.
+/// The silhouette of a photograph.
 struct Mask<'a> {
     camera: Camera,
     pixels: &'a [[u8; 4]],
@@ -62,7 +63,7 @@ impl Mask<'_> {
         self.pixels[(y * self.camera.intrinsics.width + x) as usize][3] >= OBJECT
     }
 
-    /// Whether the object may be at a point of the world; `None` outside of the image.
+    /// True if the silhouette contains the projection of `point`; `None` outside of the image.
     fn at(&self, point: DVec3) -> Option<bool> {
         let k = &self.camera.intrinsics;
         let [x, y] = k.image_of(self.camera.rotation.transpose() * (point - self.camera.origin))?;
@@ -70,7 +71,7 @@ impl Mask<'_> {
         inside.then(|| self.object(x as u32, y as u32))
     }
 
-    /// The silhouette and the hull as this camera sees it; `None` if both are empty.
+    /// The overlap of the silhouette and the hull as this camera sees it; `None` if both are empty.
     fn overlap(&self, hull: &Hull) -> Option<Overlap> {
         let k = &self.camera.intrinsics;
         let (mut both, mut either, mut own) = (0_u32, 0_u32, 0_u32);
@@ -90,7 +91,7 @@ impl Mask<'_> {
     }
 }
 
-/// What a silhouette has in common with the hull.
+/// The intersection of a silhouette and the projected hull.
 #[derive(Clone, Copy, Default)]
 struct Overlap {
     /// As a share of their union.

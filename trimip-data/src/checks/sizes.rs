@@ -7,11 +7,11 @@ use super::{
 };
 use trimip_core::{Camera, ViewSet};
 
-/// Factor between the width of an image and the median width from which it is doubted: two cameras rarely differ by more,
-/// a thumbnail does.
+/// An image is doubted if its side √(width·height) differs from the median by more than this factor: two cameras rarely
+/// do, a thumbnail does.
 const MOST_SIZE: f64 = 1.5;
 
-/// The same for focal lengths as shares of the image: a zoom, or a crop whose focal length was not changed along.
+/// The same for focal lengths as shares of the side: a zoom, or a crop that kept its old focal length.
 const MOST_FOCAL: f64 = 1.5;
 
 /// Checks that the training photographs have about one size and one angle of view.

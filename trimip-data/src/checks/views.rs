@@ -1,4 +1,4 @@
-//! What several checks ask of the training views: their names, cameras, a coarse scale, pixels of a sparse grid.
+//! Helpers of the checks for the training views: names, cameras, a coarse scale, pixels of a sparse grid.
 
 use trimip_core::{Camera, Scale, ViewSet, plural::count};
 

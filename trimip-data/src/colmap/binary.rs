@@ -7,7 +7,7 @@ use super::{
 };
 use trimip_core::{Error, Result};
 
-/// Least bytes of an entry: number, model and size of a camera and its two parameters.
+/// Least bytes of an entry: number, model and size of a camera and two parameters.
 const CAMERA: usize = 24 + 2 * 8;
 /// Number, pose, camera, end of the name and count of features.
 const IMAGE: usize = 4 + 7 * 8 + 4 + 1 + 8;
@@ -99,7 +99,7 @@ fn place(file: File<'_>, at: usize, entry: &str) -> String {
     format!("{}: byte {at}: {entry}", file.name)
 }
 
-/// What is not read yet.
+/// The part of a file that is not read yet.
 struct Rest<'a> {
     file: File<'a>,
     at: usize,
@@ -171,7 +171,7 @@ impl<'a> Rest<'a> {
         Err(self.wrong(format!("the file ends within {count} {of}")))
     }
 
-    /// A text up to a zero.
+    /// A text that ends with a zero byte.
     fn name(&mut self) -> Result<String> {
         let left = self.left();
         let Some(length) = left.iter().position(|&byte| byte == 0) else {
@@ -181,7 +181,7 @@ impl<'a> Rest<'a> {
             return Err(self.wrong("the name of an image is empty".into()));
         }
         self.at += length + 1;
-        // Characters of a code page are replaced, as in the names of files that are looked for.
+        // Characters of a code page are replaced, as they are in the names of files that are searched.
         Ok(String::from_utf8_lossy(&left[..length]).into_owned())
     }
 

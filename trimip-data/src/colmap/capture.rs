@@ -139,7 +139,7 @@ impl Model {
     /// Camera-to-world cameras in OpenGL axes of all images, in their order; `file` names the file of the images.
     ///
     /// # Errors
-    /// Of kind `Input`: a pose that is not finite, a camera that is not there.
+    /// Of kind `Input`: a pose or a camera that is not finite, and a missing camera.
     pub fn cameras_of_images(&self, file: &str) -> Result<Vec<Camera>> {
         let cameras: HashMap<u32, &ModelCamera> =
             self.cameras.iter().map(|camera| (camera.id, camera)).collect();
@@ -159,7 +159,7 @@ impl Model {
 
 /// Camera-to-world rotation in OpenGL axes, and centre: Rᵀ·diag(1, −1, −1) and −Rᵀ·t.
 fn pose(image: &ModelImage, place: &str) -> Result<(DMat3, DVec3)> {
-    // The largest part is 1, so that no square leaves the range of f64.
+    // The largest part is scaled to 1, so that no square leaves the range of f64.
     let largest = image.rotation.iter().fold(0.0_f64, |largest, part| largest.max(part.abs()));
     let [w, x, y, z] = image.rotation.map(|part| part / largest);
     let to_world = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()).transpose();
@@ -170,7 +170,7 @@ fn pose(image: &ModelImage, place: &str) -> Result<(DMat3, DVec3)> {
     Ok((DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), origin))
 }
 
-/// Leaves out images whose cameras have parameters that are no numbers, with a warning that names the first.
+/// Removes images whose cameras have parameters that are not finite, and returns a warning that names the first.
 fn without_camera(model: &mut Model, file: &Path) -> Result<Option<String>> {
     let broken: BTreeSet<u32> =
         model.cameras.iter().filter(|camera| !camera.is_finite()).map(|camera| camera.id).collect();
@@ -191,7 +191,7 @@ fn without_camera(model: &mut Model, file: &Path) -> Result<Option<String>> {
     )))
 }
 
-/// A warning if photographs beside those of the model are not in it.
+/// A warning if the folders of the model's photographs hold others that are not in the model.
 fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
     let parents: BTreeSet<PathBuf> =
         names.iter().filter_map(|name| folder.join(name).parent().map(Path::to_path_buf)).collect();
@@ -201,7 +201,8 @@ fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
         .then(|| format!("COLMAP placed {} of {pictures} photographs in {}", names.len(), folder.display()))
 }
 
-/// Gives the cameras of frames the size of their photographs: pixels of the photograph per pixel of the camera, along x and y.
+/// Scales the cameras of frames to the size of their photographs. Returns the pixels of the photograph per pixel of the
+/// camera, along x and y.
 fn scale_cameras(frames: &mut [Frame]) -> Result<Vec<[f64; 2]>> {
     let fitted = map_in_order(frames, |_, frame| {
         let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
@@ -214,7 +215,7 @@ fn scale_cameras(frames: &mut [Frame]) -> Result<Vec<[f64; 2]>> {
     Ok(fitted.into_iter().map(|(_, factors)| factors).collect())
 }
 
-/// Aligns parts of the model that stand apart, and returns a warning if there are any.
+/// Aligns detached parts of the model, and returns a warning if there are any.
 fn realigned(file: &Path, frames: &mut [Frame], cloud: &mut Cloud) -> Result<Option<String>> {
     let picture = |index: usize| {
         let frame: &Frame = &frames[index];
@@ -234,7 +235,7 @@ fn realigned(file: &Path, frames: &mut [Frame], cloud: &mut Cloud) -> Result<Opt
     Ok(Some(format!("{}: {warning}", file.display())))
 }
 
-/// Points with their tracks by frame, which must be in order of their names.
+/// Points with their tracks by frame. `names` and `factors` are in the order of the model's images.
 fn cloud(model: &Model, names: Vec<String>, factors: &[[f64; 2]]) -> Cloud {
     let frames: HashMap<u32, usize> =
         model.images.iter().enumerate().map(|(index, image)| (image.id, index)).collect();

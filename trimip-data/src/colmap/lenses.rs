@@ -1,10 +1,10 @@
 //! Cameras of a COLMAP model: the camera models by number and name, with the order of their parameters in the files (COLMAP's
-//! sensor/models.h), and what they are to a renderer. Lengths in pixels; the centre of the upper left pixel is (0.5, 0.5).
+//! sensor/models.h), and their intrinsics for a renderer. Lengths in pixels; the centre of the upper left pixel is (0.5, 0.5).
 
 use trimip_core::geometry::projections::{Colmap, Model};
 use trimip_core::{Intrinsics, Lens};
 
-/// A camera model of COLMAP, and what it is here.
+/// A camera model of COLMAP, and its equivalent here.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Kind {
     model: Model,
@@ -20,11 +20,11 @@ fn kinds() -> impl Iterator<Item = Kind> {
     Model::ALL.iter().flat_map(of)
 }
 
-/// Models of COLMAP beyond the first: what is of them in no registry is not supported.
+/// Further models of COLMAP. Messages call them unsupported, not unknown, unless the registry has them.
 const OTHERS: [(i32, &str); 5] =
     [(7, "FOV"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (12, "SIMPLE_DIVISION"), (13, "DIVISION"), (16, "EUCM")];
 
-/// What to do about a model that has none.
+/// Advice for a model that is not supported.
 pub(super) const ADVICE: &str = "run COLMAP's image_undistorter, which writes PINHOLE cameras and their images, or calibrate with OPENCV or \
      OPENCV_FISHEYE";
 
@@ -93,7 +93,7 @@ impl ModelCamera {
         Ok(Self { id, kind, width, height, parameters })
     }
 
-    /// False if a parameter is no number: its calibration failed.
+    /// False if a parameter is not finite: the calibration failed.
     pub fn is_finite(&self) -> bool {
         self.parameters.iter().all(|parameter| parameter.is_finite())
     }

@@ -1,4 +1,4 @@
-//! Where the parts of a capture with a COLMAP model lie: the folder of the model, its files, and the folder of the photographs.
+//! Finds the parts of a capture with a COLMAP model: the folder of the model, its files, and the folder of the photographs.
 
 use super::{
     binary,
@@ -32,13 +32,13 @@ const FOLDERS: [&str; 11] = [
 ];
 /// Folders that hold several models by number.
 const SEVERAL: [&str; 2] = ["sparse", "colmap/sparse"];
-/// How far above a model its photographs are looked for.
+/// Most levels above a model that are searched for its photographs.
 const LEVELS_UP: usize = 3;
 
 /// The folder of a model.
 pub(super) struct Found {
     pub(super) folder: PathBuf,
-    /// The other models beside it, if any.
+    /// A warning about other models next to it, if there are any.
     pub(super) warning: Option<String>,
 }
 
@@ -69,7 +69,7 @@ fn numbered(folder: &Path) -> Vec<PathBuf> {
     models
 }
 
-/// How the files of a model are written; binary ones come first. `None` if the folder holds no model.
+/// The encoding of the files of a model; binary ones take precedence. `None` if the folder holds no model.
 fn encoding(folder: &Path) -> Option<Encoding> {
     let both = |extension: &str| {
         ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{extension}")).is_file())
@@ -80,7 +80,7 @@ fn encoding(folder: &Path) -> Option<Encoding> {
         .map(|(encoding, _)| encoding)
 }
 
-/// The model of a scene; of several numbered ones that with the most images.
+/// The model of a scene. Among several numbered models, the one with the most images is taken.
 pub(super) fn model(root: &Path) -> Result<Found> {
     let Some((name, folder)) = first(root) else {
         return Err(Error::input(
@@ -132,7 +132,7 @@ fn images_in(folder: &Path) -> u64 {
 }
 
 impl Model {
-    /// Reads the model in a folder; binary files come first, points may be missing.
+    /// Reads the model in a folder; binary files take precedence, points may be missing.
     ///
     /// # Errors
     /// As [`Model::parse`], and files that cannot be read.
@@ -160,7 +160,8 @@ impl Model {
     }
 }
 
-/// A text in UTF-8. Characters of a code page are replaced: they occur in names of photographs, which are looked for alike.
+/// A text in UTF-8. Characters of a code page are replaced: they occur in names of photographs, and file names are
+/// converted in the same way.
 fn readable(bytes: &[u8]) -> Vec<u8> {
     String::from_utf8_lossy(&decoded(bytes)).into_owned().into_bytes()
 }

@@ -49,7 +49,7 @@ pub struct ModelPoint {
     pub color: [u8; 3],
     /// Mean reprojection error in pixels; negative if it is unknown.
     pub error: f64,
-    /// Number of an image and index of one of its features.
+    /// Pairs of the number of an image and the index of one of its features.
     pub track: Box<[[u32; 2]]>,
 }
 
@@ -60,7 +60,7 @@ pub struct Model {
     pub cameras: Vec<ModelCamera>,
     /// In the order of the file.
     pub images: Vec<ModelImage>,
-    /// In the order of the file; none without the file.
+    /// In the order of the file; empty without the file.
     pub points: Vec<ModelPoint>,
 }
 

@@ -1,4 +1,4 @@
-//! A model from the bytes of its files, and what is checked across them: entries are unique and name what is there.
+//! Reads a model from the bytes of its files, and checks across them that entries are unique and refer to existing ones.
 
 use super::{
     binary,
@@ -9,12 +9,12 @@ use std::fmt::Display;
 use trimip_core::{Error, Result};
 
 impl Model {
-    /// The model in the bytes of its files. Binary files take at most twice their size in memory, and so do text files as COLMAP
-    /// writes them; those with the shortest lines possible take six times their size.
+    /// Reads the model in the bytes of its files. The model takes at most twice the size of binary files in memory, and
+    /// of text files as COLMAP writes them. Text files with the shortest possible lines take six times their size.
     ///
     /// # Errors
-    /// Of kind `Input`: syntax, numbers that are not finite, entries that occur twice, names of what is not there. The
-    /// message names the file, and the line, the byte or the entry.
+    /// Of kind `Input`: invalid syntax, numbers that are not finite, entries that occur twice, references to missing
+    /// entries. The message names the file, and the line, the byte or the entry.
     pub fn parse(
         encoding: Encoding,
         cameras: File<'_>,
@@ -38,7 +38,7 @@ impl Model {
         Ok(model)
     }
 
-    /// Leaves out of each track the images that the model does not hold: people take photographs out of it.
+    /// Removes from each track the images that the model does not hold: users delete photographs from models.
     fn drop_unknown_images(&mut self) {
         let known = sorted(self.images.iter().map(|image| image.id));
         for point in &mut self.points {
@@ -49,7 +49,7 @@ impl Model {
         }
     }
 
-    /// Entries are unique and name what is there.
+    /// Checks that entries are unique and refer to existing ones.
     fn check(&self, cameras: &str, images: &str, points: &str) -> Result<()> {
         let broken = |place: &str, entry: String, what: String| {
             Err(Error::input(format!("{place}: {entry}"), what, "export the model again"))
@@ -104,7 +104,7 @@ fn sorted<T: Ord>(ids: impl ExactSizeIterator<Item = T>) -> Vec<T> {
     ids
 }
 
-/// The first of the sorted numbers that is there twice.
+/// The first of the sorted numbers that occurs twice.
 fn double<T: Copy + PartialEq + Display>(ids: &[T]) -> Option<T> {
     ids.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
 }

@@ -1,5 +1,5 @@
-//! The text files of a COLMAP model: numbers apart by white space, lines that begin with # are comments. An image has two
-//! lines; its second holds its features and may be empty.
+//! The text files of a COLMAP model: numbers are separated by white space, and lines that begin with # are comments. An
+//! image has two lines; its second holds its features and may be empty.
 
 use super::{
     lenses::{ADVICE, Kind, ModelCamera},
@@ -117,7 +117,7 @@ pub(super) fn points(file: File<'_>) -> Result<Vec<ModelPoint>> {
     Ok(points)
 }
 
-/// What follows the first `count` words of a line.
+/// The rest of a line after its first `count` words.
 fn after_words(line: &str, count: usize) -> &str {
     let mut rest = line.trim_ascii();
     for _ in 0..count {
@@ -204,14 +204,14 @@ impl<'a> Line<'a> {
     /// A number of pixels; some exporters write 1920.0.
     fn side(&mut self, expected: &str) -> Result<u64> {
         let side: f64 = self.number(expected)?;
-        // As a cast, which saturates; the range is checked with the camera.
+        // The cast saturates; the range is checked with the camera.
         if side.fract() == 0.0 && side >= 0.0 {
             return Ok(side as u64);
         }
         Err(self.wrong(format!("{side} is not {expected}"), "correct the line or export the model again"))
     }
 
-    /// A parameter of a camera; not a number where its calibration failed, as the systems' libraries write it.
+    /// A parameter of a camera. Where its calibration failed, it is NaN, in the notation of any system's library.
     fn parameter(&mut self) -> Result<f64> {
         let word = self.words.clone().next().unwrap_or_default().to_ascii_lowercase();
         let unsigned = word.trim_start_matches(['-', '+']);

@@ -1,6 +1,6 @@
-//! A scene of Apple's ARKitScenes: photographs in `lowres_wide/`, called by video and time in seconds, the intrinsics of each in
-//! `lowres_wide_intrinsics/` (width, height, focal lengths, principal point), and `lowres_wide.traj`, a pose a line: time, an axis times an
-//! angle, and a translation, world-to-camera with x right, y down and z forward (ARKitScenes, DATA.md and its loader).
+//! A scene of Apple's ARKitScenes: photographs in `lowres_wide/`, named by video and time in seconds, the intrinsics of each in
+//! `lowres_wide_intrinsics/` (width, height, focal lengths, principal point), and `lowres_wide.traj` with one pose per line: time, rotation
+//! axis times angle, and translation, world-to-camera with x right, y down and z forward (ARKitScenes, DATA.md and its loader).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -19,13 +19,13 @@ const POSES: &str = "lowres_wide.traj";
 const IMAGES: &str = "lowres_wide";
 const INTRINSICS: &str = "lowres_wide_intrinsics";
 
-/// Depth images and how sure they are, called as the photographs: millimetres of 16 bits, and 0 to 2 (DATA.md).
+/// Folders of depth images (16-bit millimetres) and confidence images (0 to 2), named like the photographs (DATA.md).
 const DEPTHS: [&str; 2] = ["lowres_depth", "confidence"];
 
 /// The time of a pose may differ by this from that of its photograph, seconds.
 const MOST_APART: f64 = 5e-3;
 
-/// The time in the name of a photograph's intrinsics may differ by these from that in the photograph's name, seconds: both are rounded.
+/// Possible differences between the times in the names of a photograph and of its intrinsics, seconds: both are rounded.
 const STEPS: [f64; 3] = [0.0, -1e-3, 1e-3];
 
 const ADVICE: &str = "download the scene again";
@@ -79,7 +79,7 @@ pub(super) static READER: Reader = Reader {
 const TRAJECTORY: &str = "10.25 0.1 0.2 0.3 0.25 0.5 4\n10.5 0.1 -0.2 0.3 0.5 0.5 4\n";
 const PINCAM: &str = "8 6 9 9.5 4.1 3.2\n";
 
-/// A camera for each pose, called by its number.
+/// A camera for each pose, named by its number.
 fn cameras_of_trajectory(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     let path = Path::new(INTRINSICS);
     let intrinsics = intrinsics(path, &numbers::parse(path, PINCAM.as_bytes(), ADVICE)?)?;
@@ -117,7 +117,7 @@ fn poses(path: &Path, lines: Vec<Vec<f64>>) -> Result<Vec<Line>> {
     Ok(poses)
 }
 
-/// The pose nearest in time, if it is near.
+/// The pose nearest in time, if it is near enough.
 fn near(poses: &[Line], time: f64) -> Option<&Line> {
     let after = poses.partition_point(|pose| pose[0] < time);
     let apart = |pose: &&Line| (pose[0] - time).abs();
@@ -151,7 +151,7 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
     let path = candidates.iter().find(|path| path.is_file()).unwrap_or(&candidates[0]);
     let named = format!("{IMAGES}/{}", photograph.file_name().unwrap_or_default().to_string_lossy());
     Ok(Some(Frame {
-        // The file of the intrinsics states the size, so errors of the size name it.
+        // The file of the intrinsics states the size, so errors about the size name this file.
         place: format!("{}: frame {named}", path.display()),
         named,
         rotation,

@@ -86,8 +86,8 @@ impl OpenScene for Folder {
 /// Beginnings of the names of transforms files; some exporters leave out the s.
 const PREFIXES: [&str; 2] = ["transforms", "transform"];
 
-/// Names of the splits with a file of their own. Files beside `transforms.json` are other versions of it, unless one of them holds
-/// the training frames.
+/// Names of the splits with a file of their own. Such files next to `transforms.json` are other versions of it, unless
+/// one of them holds the training frames.
 pub(crate) fn splits(root: &Path) -> Vec<String> {
     let Ok(entries) = root.read_dir() else { return Vec::new() };
     let mut names: Vec<String> = entries
@@ -139,8 +139,8 @@ fn lists(root: &Path) -> Result<Vec<&'static str>> {
     Ok(division::listed(&Node::new(path.display(), &document)?))
 }
 
-/// False for a file none of whose photographs is there: BlenderNeRF writes the cameras of test frames that it does not render. Errors
-/// in the file are told when it is read.
+/// False for a file none of whose photographs exists: BlenderNeRF writes the cameras of test frames that it does not
+/// render. Errors in the file are reported when it is read.
 fn has_photographs(pictures: &Pictures, path: &Path) -> bool {
     let Ok(document) = json::read(path) else { return true };
     let Some(entries) = document.get("frames").and_then(Value::as_array) else { return true };
@@ -148,7 +148,7 @@ fn has_photographs(pictures: &Pictures, path: &Path) -> bool {
     named.is_empty() || named.iter().any(|named| pictures.find(named, "").is_ok())
 }
 
-/// The file of a folder that holds all frames.
+/// The file that holds all frames of a folder.
 pub(crate) fn undivided(root: &Path) -> PathBuf {
     let [first, other] = PREFIXES.map(|prefix| root.join(format!("{prefix}.json")));
     if first.is_file() || !other.is_file() { first } else { other }
@@ -223,8 +223,8 @@ fn read_file(
     Ok(Split { sources, warnings, notes, ..facts })
 }
 
-/// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks all that
-/// can be checked without them.
+/// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks
+/// everything that needs no photograph.
 pub(crate) fn cameras(path: &Path, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(String, Camera)>> {
     let document = json::parse(path, bytes)?;
     let transforms = Transforms::new(path, &document)?;
@@ -302,7 +302,8 @@ impl Entry<'_> {
         Ok(Camera { intrinsics: intrinsics(file, &self.frame, width, height)?, rotation, origin })
     }
 
-    /// The photograph turned as its camera sees it, the camera in its size, and by which factors the file's sizes were scaled.
+    /// Returns the photograph turned as its camera sees it, the camera at the size of the photograph, and the factors
+    /// from the stated size to this size.
     fn seen_by(&self, file: &Node<'_>, image: Photograph) -> Result<(Photograph, Camera, [f64; 2])> {
         if let (Some(width), Some(height)) = (self.size.width, self.size.height) {
             let stated = self.camera(file, width, height)?;
@@ -316,8 +317,8 @@ impl Entry<'_> {
     }
 }
 
-/// The depth image that a frame states, whose numbers are in units of `depth_unit_scale_factor` (nerfstudio's default are thousandths) of the
-/// original poses, which the poses of the file are `applied_scale` times.
+/// The depth image that a frame states. Its unit is `depth_unit_scale_factor` units of the original poses (nerfstudio's
+/// default is a thousandth). The poses of the file are `applied_scale` times the original ones.
 fn depth(file: &Node<'_>, frame: &Node<'_>) -> Result<Option<DepthFile>> {
     let Some(path) = frame.text("depth_file_path")? else { return Ok(None) };
     let key = "depth_unit_scale_factor";
@@ -330,8 +331,8 @@ fn depth(file: &Node<'_>, frame: &Node<'_>) -> Result<Option<DepthFile>> {
     Ok(Some(DepthFile::new(path, factor * file.number("applied_scale")?.unwrap_or(1.0))))
 }
 
-/// What nerfstudio did to the original poses before it wrote them: the poses of the file are `applied_scale` ·
-/// `applied_transform` · those of the original, and are used as they are.
+/// Checks and describes the transform that nerfstudio applied to the original poses: the poses of the file are
+/// `applied_scale` · `applied_transform` · the original ones, and are used as they are.
 fn applied(file: &Node<'_>) -> Result<Vec<String>> {
     if file.get("applied_transform").is_some() {
         pose::read(file, "applied_transform")?;

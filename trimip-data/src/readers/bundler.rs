@@ -19,15 +19,15 @@ use trimip_core::{Error, Lens, Result, plural::count, text};
 
 const FILE: &str = "bundle.out";
 
-/// Where it lies.
+/// Its usual paths.
 const PLACES: [&str; 2] = [FILE, "bundle/bundle.out"];
 
-/// Names of the list of photographs, beside it or in the folder of the scene.
+/// Names of the list of photographs, next to `bundle.out` or in the folder of the scene.
 const LISTS: [&str; 3] = ["list.txt", "image_list.txt", "bundle.out.list.txt"];
 
 const ADVICE: &str = "export the cameras again (Bundler v0.3)";
 
-/// Least bytes of a camera and of a point: their numbers of one digit.
+/// Least bytes of a camera and of a point: numbers of one digit each.
 const CAMERA: usize = 15 * 2;
 const POINT: usize = 7 * 2;
 
@@ -81,15 +81,15 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     Ok(frames.iter().map(|frame| (names::stem(&frame.named), frame.camera([8, 6]))).collect())
 }
 
-/// A file.
+/// The contents of a file.
 struct Bundle {
     frames: Vec<Frame>,
-    /// What it states beside frames.
+    /// Points and warnings of the file.
     facts: Split,
 }
 
 impl Bundle {
-    /// `photograph` names that of a camera.
+    /// `photograph` returns the name of a camera's photograph.
     fn read(name: &str, bytes: &[u8], photograph: impl Fn(usize) -> Option<String>) -> Result<Self> {
         let text = String::from_utf8_lossy(&text::decoded(bytes)).into_owned();
         let body: String = text
@@ -151,7 +151,7 @@ impl Bundle {
 struct Words<'a> {
     name: &'a str,
     words: SplitAsciiWhitespace<'a>,
-    /// How many were read.
+    /// Count of the numbers read so far.
     read: usize,
 }
 

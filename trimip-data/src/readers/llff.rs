@@ -24,7 +24,7 @@ const FILE: &str = "poses_bounds.npy";
 /// Numbers of a row.
 const COLUMNS: usize = 17;
 
-/// What to do with a file that is not valid.
+/// Advice for an invalid file.
 const ADVICE: &str = "compute the poses again (imgs2poses.py of LLFF)";
 
 /// Folders of photographs in the order in which they are tried, if none is named; the number is LLFF's factor of reduction.
@@ -84,7 +84,7 @@ impl Row {
         Ok(Self { rotation, origin, size, focal })
     }
 
-    /// The camera of a photograph of `pixels`: its width and height may be other multiples of the stated ones.
+    /// The camera of a photograph of `pixels`: its width and height may be different multiples of the stated ones.
     fn camera(&self, pixels: [u32; 2]) -> Camera {
         let [width, height] = pixels;
         let [fx, fy] = [0, 1].map(|side| self.focal * (f64::from(pixels[side]) / self.size[side]));

@@ -1,6 +1,6 @@
-//! Cameras of Agisoft Metashape as XML (File, Export, Export Cameras): sensors with their calibrations, and camera-to-chunk matrices with x
-//! right, y down and z forward, in the units of the chunk. Principal points are counted from the middle of the photograph, and p1 and p2 are
-//! OpenCV's in the other order (Metashape's manual, appendix on camera models).
+//! Cameras of Agisoft Metashape as XML (File, Export, Export Cameras): sensors with their calibrations, and camera-to-chunk
+//! matrices with x right, y down and z forward, in the units of the chunk. Principal points are counted from the middle of the
+//! photograph, and p1 and p2 are swapped relative to OpenCV (Metashape's manual, appendix on camera models).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -24,7 +24,7 @@ use trimip_core::{
 /// The usual name of the file.
 const FILE: &str = "cameras.xml";
 
-/// Bytes at the beginning of an XML file that show what it is.
+/// Bytes at the beginning of an XML file that identify it.
 const HEAD: u64 = 4096;
 
 const ADVICE: &str = "export the cameras from Metashape again";
@@ -81,10 +81,10 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     Ok(frames.iter().map(|frame| (names::stem(&frame.named), frame.camera([8, 6]))).collect())
 }
 
-/// A file.
+/// The contents of a file.
 struct Export {
     frames: Vec<Frame>,
-    /// What it states beside frames.
+    /// Warnings about the file.
     facts: Split,
 }
 

@@ -1,4 +1,4 @@
-//! The registry of scene readers: one file each, and a line of the list below.
+//! The registry of scene readers: each reader is one file and one line of the list below.
 
 mod arkitscenes;
 pub(crate) mod blender;
@@ -18,7 +18,7 @@ mod record3d;
 use reader::Reader;
 use std::path::Path;
 
-/// All readers, in the order in which a folder is recognised.
+/// All readers, in the order in which they are tried on a folder.
 pub(crate) static READERS: &[&Reader] = &[
     &multiscale::READER,
     &blender::READER,
@@ -35,7 +35,7 @@ pub(crate) static READERS: &[&Reader] = &[
     &builtin::READER,
 ];
 
-/// The reader that the files in a folder show.
+/// The reader that recognises the files in a folder.
 pub(crate) fn found(root: &Path) -> Option<&'static Reader> {
     READERS.iter().copied().find(|reader| (reader.recognises)(root))
 }

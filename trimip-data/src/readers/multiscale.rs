@@ -282,7 +282,7 @@ impl<'a> Table<'a> {
                 ..k
             };
         }
-        // These keys are written beside pix2cam for cameras that are not plain: the inverse of an inverse is not exact.
+        // These keys are written in addition to pix2cam for cameras that are not plain: the inverse of an inverse is not exact.
         let length = if self.node.get("fl_y").is_none() { k.fy } else { self.positive("fl_y", index)? };
         // After a crop the principal point may lie outside the image.
         let point = |key: &str, otherwise: f64| -> Result<f64> {

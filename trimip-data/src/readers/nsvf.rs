@@ -1,6 +1,6 @@
-//! The layout of NSVF's data sets, also of its Tanks and Temples: `rgb/` and `pose/` with a file of each name, `intrinsics.txt` and
-//! `bbox.txt`. Poses are camera-to-world with x right, y down and z forward. Names begin with the number of their split (Liu et al. 2020,
-//! README of NSVF).
+//! The layout of NSVF's data sets, also of its Tanks and Temples: `rgb/` and `pose/` with one file of the same name per
+//! frame, `intrinsics.txt` and `bbox.txt`. Poses are camera-to-world with x right, y down and z forward. Names begin
+//! with the number of their split (Liu et al. 2020, README of NSVF).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -78,13 +78,13 @@ fn camera_of_intrinsics(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     camera(POSES, &pose, name, &numbers::parse(Path::new(name), bytes, ADVICE)?)
 }
 
-/// The camera of the numbers of a pose and of the intrinsics.
+/// The camera with the numbers of a pose file and of an intrinsics file.
 fn camera(pose: &str, rows: &[Vec<f64>], intrinsics: &str, matrix: &[Vec<f64>]) -> Result<NamedCameras> {
     let frame = frame(Path::new(pose), rows, calibration(Path::new(intrinsics), matrix)?)?;
     Ok(vec![(names::stem(&frame.named), frame.camera([8, 6]))])
 }
 
-/// The frame of a file of a pose with these numbers; its photograph has the same name.
+/// The frame of a pose file with the numbers `rows`; its photograph has the same name.
 fn frame(path: &Path, rows: &[Vec<f64>], calibration: Calibration) -> Result<Frame> {
     let place = path.display().to_string();
     let row = |i: usize| rows.get(i).and_then(|row| row.first_chunk()).copied();
@@ -98,7 +98,7 @@ fn frame(path: &Path, rows: &[Vec<f64>], calibration: Calibration) -> Result<Fra
     Ok(Frame { named: format!("rgb/{}", names::key(&name)), place, rotation, origin, calibration, split })
 }
 
-/// Focal lengths and principal point of the numbers of a file: a matrix, or a line with the focal length and the principal point.
+/// Focal lengths and principal point from the numbers of a file: a matrix, or a line with the focal length and the principal point.
 fn calibration(path: &Path, lines: &[Vec<f64>]) -> Result<Calibration> {
     let found = match lines {
         [first, second, ..] if first.len() == second.len() && first.len() >= 3 => {
@@ -119,7 +119,7 @@ fn calibration(path: &Path, lines: &[Vec<f64>]) -> Result<Calibration> {
     Ok(Calibration::Unsized { focal, centre: Some(centre), lens: Lens::default() })
 }
 
-/// The box of the scene, if its file is there.
+/// The box of the scene, if its file exists.
 fn bounds(path: &Path) -> Result<Option<StatedBox>> {
     if !path.is_file() {
         return Ok(None);

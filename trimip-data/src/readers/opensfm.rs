@@ -1,6 +1,6 @@
 //! OpenSfM's `reconstruction.json`, also of OpenDroneMap: an array of reconstructions with cameras, shots and points. Poses are
-//! world-to-camera, an axis times an angle and a translation, with x right, y down and z forward. Focal lengths and principal points are
-//! multiples of the longer side; principal points are counted from the middle of the photograph (OpenSfM, Geometric Models).
+//! world-to-camera, a rotation axis times an angle and a translation, with x right, y down and z forward. Focal lengths and principal
+//! points are multiples of the longer side; principal points are counted from the middle of the photograph (OpenSfM, Geometric Models).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -22,7 +22,7 @@ use trimip_core::{Error, Intrinsics, Lens, Result, geometry::projections::Model,
 
 const FILE: &str = "reconstruction.json";
 
-/// Where it lies: OpenDroneMap keeps it in a folder of its own.
+/// Its usual paths: OpenDroneMap keeps it in a folder of its own.
 const PLACES: [&str; 3] = [FILE, "opensfm/reconstruction.json", "undistorted/reconstruction.json"];
 
 pub(super) static READER: Reader = Reader {
@@ -62,12 +62,12 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 /// A reconstruction.
 struct Reconstruction {
     frames: Vec<Frame>,
-    /// What it states beside frames.
+    /// Points and warnings of the file.
     facts: Split,
 }
 
 impl Reconstruction {
-    /// Of several the one with the most shots.
+    /// Reads the reconstruction with the most shots.
     fn read(path: &Path, document: &Value) -> Result<Self> {
         let all = document.as_array().map(Vec::as_slice).unwrap_or_default();
         let shots =

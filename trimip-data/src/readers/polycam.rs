@@ -1,5 +1,6 @@
-//! A raw export of Polycam: a JSON file for each photograph in `keyframes/`, of the poses that were corrected if it has them. Keys `t_00` to
-//! `t_23` are the rows of a camera-to-world matrix with OpenGL axes, in ARKit's world with y up. Here z is up, as nerfstudio turns it.
+//! A raw export of Polycam: a JSON file for each photograph in `keyframes/`. Corrected poses are read if the export has
+//! them. Keys `t_00` to `t_23` are the rows of a camera-to-world matrix with OpenGL axes, in ARKit's world with y up.
+//! The world is turned so that z is up, as in nerfstudio.
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -21,11 +22,11 @@ const FOLDERS: [[&str; 2]; 2] = [
     ["keyframes/cameras", "keyframes/images"],
 ];
 
-/// Folders of the depth images and of how sure they are, called as the photographs. Both are ARKit's: millimetres of 16 bits, and 0 where
-/// the depth is not sure (Polycam's polyform, README).
+/// Folders of depth and confidence images, named like the photographs. Both are ARKit's: 16-bit millimetres, and 0
+/// where the depth is unreliable (Polycam's polyform, README).
 const DEPTHS: [&str; 2] = ["keyframes/depth", "keyframes/confidence"];
 
-/// A file of a pose.
+/// The usual path of a pose.
 const FILE: &str = "keyframes/cameras/0.json";
 
 pub(super) static READER: Reader = Reader {
@@ -100,7 +101,7 @@ fn frame(path: &Path, document: &Value, images: &str) -> Result<Frame> {
     }
     let (cx, cy) = (number("cx")?, number("cy")?);
     let lens = Lens::default();
-    // Poses that newer versions correct state no size: lengths are in pixels of the photograph.
+    // Poses that newer versions have corrected state no size: lengths are in pixels of the photograph.
     let calibration = match (size.width, size.height) {
         (Some(width), Some(height)) => Calibration::Sized(Intrinsics { width, height, fx, fy, cx, cy, lens }),
         _ => Calibration::Unsized { focal: [fx, fy], centre: Some([cx, cy]), lens },

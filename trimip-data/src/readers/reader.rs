@@ -1,4 +1,4 @@
-//! The type of a scene reader. A reader is one file with a value of this type, which a line of the registry names.
+//! The type of a scene reader. Each reader is one file with a value of this type, and one line of the registry.
 
 use crate::settings::DataConfig;
 use crate::split::Split;
@@ -13,20 +13,20 @@ pub(crate) struct Reader {
     pub(crate) name: &'static str,
     /// The files by which it is recognised, in words; `None` if the scene needs no folder.
     pub(crate) files: Option<&'static str>,
-    /// Whether the files of a folder show such a scene.
+    /// True if the files of a folder are those of such a scene.
     pub(crate) recognises: fn(&Path) -> bool,
     /// Opens the scene in a folder. Cameras may be read here or with each split; no photograph is decoded.
     pub(crate) open: fn(&Path, &DataConfig) -> Result<Box<dyn OpenScene>>,
-    /// Such scenes in words, if their photographs are looked for in `data.images`.
+    /// Such scenes in words, if `data.images` can name the folder of their photographs.
     pub(crate) images: Option<&'static str>,
     /// Whether `data.test_list` can divide its frames.
     pub(crate) divisible: bool,
-    /// The files of cameras, poses or intrinsics, each of which is read by itself.
+    /// Files of cameras, poses or intrinsics that can be read on their own.
     pub(crate) camera_files: &'static [CameraFile],
 }
 
 impl Reader {
-    /// The reader of a folder without options; `..Reader::PLAIN` completes others.
+    /// Defaults of optional fields: `..Reader::PLAIN` completes a reader.
     pub(super) const PLAIN: Self = Self {
         format: "",
         name: "",
@@ -44,7 +44,7 @@ pub(crate) trait OpenScene {
     /// The frames of a split with the headers of their photographs.
     fn split(&self, split: &str) -> Result<Split>;
 
-    /// True unless the scene is known to have no such split. Others are known when they are read.
+    /// True unless the scene is known to have no such split. Other missing splits are found when they are read.
     fn has_split(&self, _split: &str) -> Result<bool> {
         Ok(true)
     }
@@ -54,8 +54,8 @@ pub(crate) trait OpenScene {
         Ok(false)
     }
 
-    /// All frames, of which `data.test_list` chooses: those of a file without splits, or `None` if the splits `data.train` and
-    /// `data.test` hold them.
+    /// All frames of a file without splits, from which `data.test_list` chooses. `None` if it chooses from the splits
+    /// `data.train` and `data.test`.
     fn undivided(&self) -> Result<Option<Split>> {
         Ok(None)
     }
@@ -64,7 +64,7 @@ pub(crate) trait OpenScene {
 /// Cameras with the short names of their photographs.
 pub type NamedCameras = Vec<(String, Camera)>;
 
-/// A file of cameras that is read by itself, from bytes in memory: what can be tried with any bytes.
+/// A file of cameras that can be read on its own, from bytes in memory, and tested with arbitrary bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraFile {
     /// Name of its kind.
@@ -75,7 +75,7 @@ pub struct CameraFile {
     /// 8 × 6 pixels. A file of poses alone gets the reader's example of intrinsics, and one of intrinsics alone a pose.
     ///
     /// # Errors
-    /// Of kind `Input`: syntax, and what is missing or out of range.
+    /// Of kind `Input`: invalid syntax, and values that are missing or out of range.
     pub cameras: fn(&str, &[u8]) -> Result<NamedCameras>,
     /// A small valid file.
     pub example: fn() -> Vec<u8>,

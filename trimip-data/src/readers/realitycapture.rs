@@ -22,20 +22,20 @@ use trimip_core::{Error, Lens, Result, text::decoded};
 /// The usual name of the file.
 const FILE: &str = "cameras.csv";
 
-/// Bytes at the beginning of a CSV file that show what it is.
+/// Bytes at the beginning of a CSV file that identify it.
 const HEAD: u64 = 4096;
 
-/// Columns without which there is no camera, and others in the order of their use.
+/// Required columns, and optional ones in the order of their use.
 const NEEDED: [&str; 8] = ["name", "x", "y", "alt", "heading", "pitch", "roll", "f"];
 const OTHERS: [&str; 8] = ["px", "py", "k1", "k2", "k3", "k4", "t1", "t2"];
 
-/// What may stand between columns.
+/// Separators of columns.
 const SEPARATORS: [char; 3] = [',', ';', '\t'];
 
 /// The longer side for which focal lengths are stated.
 const SIDE: f64 = 36.0;
 
-/// More than any focal length in millimetres, and than any principal point in sides of a photograph.
+/// Upper limit of focal lengths in millimetres, and of principal points in sides of a photograph.
 const MOST: f64 = 1e6;
 
 const ADVICE: &str = "export Internal/External camera parameters again";
@@ -88,7 +88,7 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     Ok(frames.iter().map(|frame| (names::stem(&frame.named), frame.camera([8, 6]))).collect())
 }
 
-/// Where the columns of a file stand.
+/// Positions of the columns of a file.
 struct Columns {
     separator: char,
     count: usize,

@@ -1,7 +1,7 @@
-//! A capture of Record3D: `metadata.json`, or `metadata` of an unpacked `.r3d` file, and `rgb/` or `rgbd/` with the photograph of each pose,
-//! called by its number. A pose is a quaternion (x, y, z, w) and a position, camera-to-world with OpenGL axes, in ARKit's world with y up.
-//! `K` is a matrix column by column; `perFrameIntrinsicCoeffs` has the focal lengths and the principal point of each photograph
-//! (as nerfstudio and Instant-NGP read them).
+//! A capture of Record3D: `metadata.json`, or `metadata` of an unpacked `.r3d` file, and `rgb/` or `rgbd/` with the
+//! photograph of each pose, named by its number. A pose is a quaternion (x, y, z, w) and a position, camera-to-world
+//! with OpenGL axes, in ARKit's world with y up. `K` is a matrix column by column; `perFrameIntrinsicCoeffs` has the
+//! focal lengths and the principal point of each photograph (as nerfstudio and Instant-NGP read them).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -23,7 +23,7 @@ use trimip_core::{Error, Intrinsics, Lens, Result, plural::count, text::decoded}
 /// Names of the file.
 const FILES: [&str; 2] = ["metadata.json", "metadata"];
 
-/// Keys that show what the file is.
+/// Keys that identify the file.
 const KEYS: [&str; 2] = ["\"K\"", "\"poses\""];
 
 /// Folders of the photographs.
@@ -136,13 +136,13 @@ fn matrix(file: &Node<'_>) -> Result<[f64; 4]> {
     Ok([fx, fy, cx, cy])
 }
 
-/// That many numbers.
+/// An array of `N` numbers.
 fn numbers<const N: usize>(value: &Value) -> Option<[f64; N]> {
     let values: Vec<f64> = value.as_array()?.iter().map(Value::as_f64).collect::<Option<_>>()?;
     values.try_into().ok()
 }
 
-/// Names the photographs as they are called in the folder: zeros may stand before their numbers.
+/// Gives the photographs their names in the folder: numbers may have leading zeros.
 fn name_photographs(root: &Path, frames: &mut [Frame]) {
     let Some(folder) = FOLDERS.into_iter().find(|folder| root.join(folder).is_dir()) else { return };
     let mut called: HashMap<usize, String> = HashMap::new();

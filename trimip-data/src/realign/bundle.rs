@@ -1,6 +1,6 @@
-//! Bundle adjustment: the cameras and points whose projections are nearest to where the photographs saw the points (Triggs et al. 2000).
-//! Levenberg and Marquardt's method on the sum of Huber's function of the reprojection errors. Points are eliminated from each step
-//! (the Schur complement), and what is left is a dense system of six unknowns a camera and the focal length of each lens.
+//! Bundle adjustment: finds the cameras and points with the smallest reprojection errors (Triggs et al. 2000). The method of
+//! Levenberg and Marquardt minimises the sum of Huber's function of these errors. Points are eliminated from each step (the Schur
+//! complement), which leaves a dense system of six unknowns per camera and one focal length per lens.
 
 use super::cholesky;
 use crate::points::Observation;
@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use trimip_core::{Camera, Intrinsics};
 
-/// Most steps, and the relative decrease of the cost below which the last one was enough.
+/// Most steps, and the relative decrease of the cost below which the adjustment ends.
 const MOST_STEPS: usize = 40;
 const SETTLED: f64 = 1e-5;
 
@@ -19,10 +19,10 @@ const TIGHTEN: f64 = 5.0;
 const MOST_DAMPING: f64 = 1e6;
 const LEAST_DAMPING: f64 = 1e-9;
 
-/// Steps of a point whose cameras stay.
+/// Steps of a point while its cameras are fixed.
 const POINT_STEPS: usize = 8;
 
-/// Parts of the points whose sums are made side by side; their number is fixed, so that sums have the same bits for any number of threads.
+/// Number of parts of the points that are summed in parallel. It is fixed, so that sums have the same bits for any number of threads.
 const PARTS: usize = 4;
 
 /// Unknowns of a camera: rotation and translation in its own axes; its focal length is an unknown of its lens.
@@ -35,7 +35,7 @@ pub(super) struct Seen {
     pub(super) track: Vec<Observation>,
 }
 
-/// One observation around the present state.
+/// One observation, linearised around the current state.
 struct Linear {
     /// Index of the camera's first unknown, and that of the lens.
     unknowns: [usize; 2],
@@ -55,12 +55,12 @@ pub(super) struct Bundle<'a> {
     /// The lens of each camera.
     lenses: Vec<usize>,
     lens_count: usize,
-    /// Error from which Huber's function is linear, pixels.
+    /// Error above which Huber's function is linear, pixels.
     huber: f64,
 }
 
 impl<'a> Bundle<'a> {
-    /// Cameras with the same intrinsics have one lens.
+    /// Cameras with the same intrinsics share one lens.
     pub(super) fn new(cameras: &'a mut [Camera], huber: f64) -> Self {
         let mut known: Vec<Intrinsics> = Vec::new();
         let lens = |camera: &Camera| {
@@ -74,8 +74,8 @@ impl<'a> Bundle<'a> {
         Self { cameras, lenses, lens_count: known.len(), huber }
     }
 
-    /// Adjusts cameras and points. The scene stays about where it is: steps are damped along what no photograph shows, its place,
-    /// direction and size.
+    /// Adjusts cameras and points. The scene stays about where it is: no photograph determines its position,
+    /// orientation and size, and damping keeps steps along them small.
     pub(super) fn adjust(&mut self, points: &mut [Seen]) {
         let mut damping = DAMPING;
         let mut cost = cost_of(self.cameras, points, self.huber);
@@ -104,7 +104,7 @@ impl<'a> Bundle<'a> {
         }
     }
 
-    /// The observations of each point.
+    /// The linearised observations of each point.
     fn linearised(&self, points: &[Seen]) -> Vec<Vec<Linear>> {
         let of_point = |point: &Seen| {
             let linear = |seen: &Observation| {
@@ -165,7 +165,8 @@ impl<'a> Bundle<'a> {
     }
 }
 
-/// The sum of Huber's function of all reprojection errors; a point that a camera does not see costs as much as one far off.
+/// The sum of Huber's function of all reprojection errors, which are capped at the longer side of the photograph. A
+/// point without an image in a camera has this largest error.
 fn cost_of(cameras: &[Camera], points: &[Seen], huber: f64) -> f64 {
     let costs: Vec<f64> = points
         .par_iter()
@@ -321,7 +322,7 @@ impl Reduced {
     }
 }
 
-/// Moves a point to where its reprojection errors are least, for cameras that stay.
+/// Moves a point to where its reprojection errors are smallest. The cameras stay.
 pub(super) fn triangulate(point: &mut Seen, cameras: &[Camera], huber: f64) {
     let mut damping = DAMPING;
     for _ in 0..POINT_STEPS {
@@ -412,7 +413,7 @@ mod tests {
         assert!(worst < 1e-3, "{worst} pixels");
         let focal = cameras[0].intrinsics.fx / true_cameras[0].intrinsics.fx;
         assert!((focal - 1.0).abs() < 1e-3, "{focal}");
-        // The same but for place, direction and size, which photographs do not show.
+        // Equal except for position, orientation and size, which photographs do not determine.
         let between =
             |cameras: &[Camera], a: usize, b: usize| (cameras[a].origin - cameras[b].origin).length();
         let size = between(&cameras, 0, 11) / between(&true_cameras, 0, 11);
@@ -422,8 +423,8 @@ mod tests {
         }
     }
 
-    /// Half of the points have one observation that is wrong by up to 100 pixels. Huber's function leaves the other ones where they
-    /// were seen; squares do not.
+    /// Half of the points have one observation that is wrong by up to 100 pixels. With Huber's function the other
+    /// observations still fit; with squares they do not.
     #[test]
     fn wrong_observations_do_little_harm() {
         let (true_cameras, mut disturbed) = scene();

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 /// Columns that are eliminated at once.
 const BLOCK: usize = 64;
 
-/// Solves A·x = b for the lower triangle of a symmetric positive definite A, [n, n] row by row, which is overwritten by its
-/// Cholesky factor. `None` if A is not positive definite. The same bits for any number of threads.
+/// Solves A·x = b for a symmetric positive definite A, whose lower triangle, [n, n] row by row, is overwritten by its
+/// Cholesky factor. `None` if A is not positive definite. The solution has the same bits for any number of threads.
 pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
     let n = b.len();
     for first in (0..n).step_by(BLOCK) {
@@ -32,7 +32,7 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
                 row[j] = (row[j] - dot(&row[first..j], &factor[first..j])) / factor[j];
             }
         });
-        // What they leave of the rest.
+        // Subtracts their part from the rest.
         let width = last - first;
         let panel: Vec<f64> =
             below.chunks_exact(n).flat_map(|row| row[first..last].iter().copied()).collect();

@@ -39,9 +39,9 @@ impl Covisibility {
         sums[2] / sums[0].min(sums[1]).max(1.0)
     }
 
-    /// True for the frames on the side of `a` if the frames are divided between `a` and `b` at the weakest link: that of the
-    /// maximum spanning tree (Kruskal) on the way from one to the other. A link is as strong as the share of points that the frame
-    /// with fewer of them has in common.
+    /// Divides the frames between `a` and `b` at the weakest link of the path from one to the other in the maximum
+    /// spanning tree (Kruskal). True for the frames on the side of `a`. The strength of a link is the number of shared
+    /// points over the number of points of the frame with fewer.
     pub(super) fn side(&self, a: usize, b: usize) -> Vec<bool> {
         let mut links: Vec<(f64, usize, usize)> = Vec::new();
         for i in 0..self.frames {
@@ -67,7 +67,7 @@ impl Covisibility {
     }
 }
 
-/// Disjoint sets; each frame has another of its set, the first one itself.
+/// Disjoint sets: each frame refers to another of its set, and the first one to itself.
 struct Sets(Vec<usize>);
 
 impl Sets {

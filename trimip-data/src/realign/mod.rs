@@ -1,11 +1,11 @@
-//! Parts of a model from structure from motion that stand apart. Where a scene repeats itself, as the pattern of a carpet does,
-//! feature matches join photographs that show different places, and a mapper places a part of the photographs around a second
-//! copy of the scene. Each part fits its own photographs, so no reprojection error shows it; photographs taken one after the other do.
+//! Detached parts of a model from structure from motion. Where a scene repeats itself, as in the pattern of a carpet, feature matches join
+//! photographs that show different places, and a mapper places a part of the photographs around a second copy of the scene. Each part fits
+//! its own photographs, so no reprojection error shows the mistake; photographs taken one after the other do.
 //!
-//! [`realign`] looks where the path of the cameras jumps and few points are shared. If the photographs on both sides of a jump look
-//! alike, and their points agree on one similarity that the model does not have, the part on one side is moved by it, unless the parts
-//! share so many points that they cannot stand apart, or the moved cameras would still be no neighbours. Points
-//! of both parts that look alike are then joined, and all cameras are adjusted to them.
+//! [`realign`] looks for jumps in the path of the cameras across which few points are shared. If the photographs on both sides of
+//! a jump look alike, and their points agree on one similarity that the model does not have, the part on one side is moved by
+//! this similarity. The part stays if both share too many points to be detached, or if the moved cameras would still be no
+//! neighbours. Points of both parts that look alike are then joined, and bundle adjustment fits all cameras to them.
 
 mod bundle;
 mod cholesky;
@@ -31,10 +31,10 @@ use trimip_core::{
     plural::count,
 };
 
-/// Numbers of frames of a model that is examined.
+/// Fewest and most frames of a model that is examined.
 const FRAMES: [usize; 2] = [8, 4000];
 
-/// Most frames of a model whose cameras are adjusted. With more, the system of the adjustment takes gigabytes.
+/// Most frames of a model whose cameras are adjusted. With more, the linear system of the adjustment takes gigabytes.
 const MOST_ADJUSTED: usize = 700;
 
 /// A jump is a step from one frame to the next that is longer than so many median steps, with less than this share of the median
@@ -42,31 +42,31 @@ const MOST_ADJUSTED: usize = 700;
 const JUMP: f64 = 3.0;
 const FEW_SHARED: f64 = 0.25;
 
-/// Most points that frames of both sides of a jump share, summed over their pairs, as a fraction of those of the pairs of one side. Parts
-/// that stand apart share the few that were matched wrongly: 0.026 in *bonsai*, where parts of one walk share 0.08 and more.
+/// Largest link between the two sides of a jump (`Covisibility::link`). Detached parts share only the few points that
+/// were matched wrongly: 0.026 in *bonsai*, where parts of one walk share 0.08 and more.
 const LOOSE: f64 = 0.05;
 
 /// Most jumps that are examined, and most parts that are moved.
 const MOST_JUMPS: usize = 16;
 const MOST_PARTS: usize = 4;
 
-/// Patches of a frame at a jump, and of a frame whose points are joined.
+/// Most patches of a frame at a jump, and of a frame whose points are joined.
 const PATCHES: [usize; 2] = [2000, 1000];
 
 /// Least matches that agree on a similarity, and least share of all matches: at a jump, of a second pair of frames there, and between
 /// frames whose points are joined.
 const AGREED: [(usize, f64); 3] = [(60, 0.6), (30, 0.4), (12, 0.4)];
 
-/// Most of the matches that agree with the model as it is, for a jump in which it is wrong.
+/// Largest share of matches that agree with the model as it is, at a jump across which the model is wrong.
 const IN_PLACE: f64 = 0.1;
 
 /// Largest distance of matches that agree, as a fraction of the longer side of the photograph.
 const TOLERANCE: f64 = 0.005;
 
-/// Random samples of three matches from which similarities are found.
+/// Number of random samples of three matches, each of which gives a similarity.
 const SAMPLES: u32 = 400;
 
-/// Frames of other parts to which the points of a frame are joined.
+/// Number of frames of other parts to which the points of a frame are joined.
 const NEIGHBOURS: usize = 4;
 
 /// Observations of each frame for the adjustment: of points that were joined, and of others. Long tracks come first.
@@ -76,22 +76,22 @@ const OBSERVATIONS: [usize; 2] = [300, 300];
 const HUBER: f64 = 3.0;
 const LARGEST_ERROR: f64 = 8.0;
 
-/// Largest median error of an adjusted model, and of its joined points, as multiples of the median error before. Parts that do not
-/// belong together have more.
+/// Largest median error of an adjusted model, and of its joined points, as multiples of the median error before the
+/// adjustment. Parts that do not belong together have more.
 const ADJUSTED: [f64; 2] = [1.5, 3.0];
 
-/// A model with parts that stand apart.
+/// A model with detached parts.
 pub(crate) struct Torn {
-    /// The model after its parts are aligned, unless they do not fit together.
+    /// The model with aligned parts; `None` if they cannot be aligned.
     pub(crate) aligned: Option<Aligned>,
-    /// What was found, in words.
+    /// The findings, in words.
     pub(crate) warning: String,
 }
 
 /// A model whose parts are aligned.
 pub(crate) struct Aligned {
     pub(crate) cameras: Vec<Camera>,
-    /// With the tracks of the model, except for observations that no longer fit.
+    /// With the tracks of the model, except for observations that do not fit the aligned model.
     pub(crate) points: Vec<Point>,
 }
 
@@ -111,11 +111,11 @@ struct Jump {
     frames: [usize; 2],
     /// Moves the scene of the first one to that of the second one.
     similarity: Similarity,
-    /// Matches that agree, and all.
+    /// Numbers of matches that agree, and of all.
     agreed: [usize; 2],
 }
 
-/// Aligns parts of a model that stand apart; `None` if none does. The same bits for any number of threads.
+/// Aligns detached parts of a model; `None` if there are none. The result has the same bits for any number of threads.
 ///
 /// # Errors
 /// When a photograph cannot be decoded.
@@ -146,7 +146,7 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
             (model.cameras[first].origin - model.cameras[last].origin).length(),
         ));
         let next = parts.iter().max().map_or(1, |most| most + 1);
-        // A part of a part is another part.
+        // A part of a part becomes a part of its own.
         let mut new = HashMap::new();
         for (part, _) in parts.iter_mut().zip(&moved).filter(|(_, moved)| **moved) {
             let after = next + new.len();
@@ -163,7 +163,7 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
             format!("{told}. Models of more than {MOST_ADJUSTED} photographs are not aligned: {advice}");
         return Ok(Some(Torn { aligned: None, warning }));
     }
-    // A similarity of all that a camera sees changes no reprojection error: these are the model's own.
+    // Moving cameras and their points by one similarity changes no reprojection error, so these errors are the model's own.
     let usual = median(model.errors());
     let joined = model.join(&parts)?;
     if joined.len() < AGREED[0].0 {
@@ -201,7 +201,7 @@ impl Model<'_> {
         seen
     }
 
-    /// The first jump across which the model is wrong, by length, and the smaller of the sides that it divides.
+    /// The longest jump across which the model is wrong, and the smaller of the two sides that it divides.
     fn find_jump(&self) -> Result<Option<(Jump, Vec<bool>)>> {
         let covisibility = Covisibility::of(self.cameras.len(), &self.points);
         let order = self.in_order();
@@ -226,7 +226,7 @@ impl Model<'_> {
             }
             let [first, last] = frames.map(|frame| self.cameras[frame].origin);
             let found = self.examine(&order, before, &seen)?;
-            // Alike places that are truly two are seen by frames that are not neighbours.
+            // If the scene really has two similar places, the moved frames are no neighbours.
             if let Some(jump) =
                 found.filter(|jump| (jump.similarity.of(first) - last).length() <= JUMP * usual)
             {
@@ -243,8 +243,8 @@ impl Model<'_> {
         order
     }
 
-    /// The similarity on which the photographs on both sides of a jump agree, if it is not that of the model. The jump is after number
-    /// `before` of the frames in `order`.
+    /// The similarity on which the photographs on both sides of a jump agree, if the model contradicts it. The jump
+    /// follows index `before` of the frames in `order`.
     fn examine(&self, order: &[usize], before: usize, seen: &[Vec<u32>]) -> Result<Option<Jump>> {
         let frames = [order[before], order[before + 1]];
         let [first, last] = frames;
@@ -288,7 +288,7 @@ impl Model<'_> {
         TOLERANCE * f64::from(k.width.max(k.height))
     }
 
-    /// How far from where `frame` saw its point of a match it would see the other point, pixels.
+    /// Distance in pixels between the place where `frame` saw its point of a match and the projection of the other point, moved by `by`.
     fn distance(&self, found: &Match, frame: usize, by: Option<&Similarity>) -> f64 {
         let point = DVec3::from(self.points[found.points[0] as usize].position);
         let position = by.map_or(point, |by| by.of(point));
@@ -296,7 +296,7 @@ impl Model<'_> {
         seen.error(position, &self.cameras[frame]).unwrap_or(f64::INFINITY)
     }
 
-    /// The similarity of most matches (Fischler and Bolles 1981), and those of them that agree with it.
+    /// The similarity on which most matches agree, and these matches (RANSAC, Fischler and Bolles 1981).
     fn agreement(
         &self,
         matches: &[Match],
@@ -340,7 +340,7 @@ impl Model<'_> {
         enough(best.len(), matches.len(), least).then_some((similarity, best))
     }
 
-    /// Divides tracks between the frames of a side and the others: the smaller share of each is dropped.
+    /// Restricts each track to the frames of one side: the side with fewer observations is dropped.
     fn separate(&mut self, side: &[bool]) {
         for point in &mut self.points {
             let own = point.track.iter().filter(|seen| side[seen.view as usize]).count();
@@ -362,7 +362,7 @@ impl Model<'_> {
         }
     }
 
-    /// Joins points of different parts that look alike, and returns the joined ones. Points that are joined to another have no track.
+    /// Joins points of different parts that look alike, and returns the joined ones. Points that were joined to another have no track.
     fn join(&mut self, parts: &[usize]) -> Result<Vec<u32>> {
         let seen = self.seen();
         let moved = (0..parts.len()).filter(|&frame| parts[frame] > 0);
@@ -385,7 +385,7 @@ impl Model<'_> {
                 self.agreement(&matches, other, AGREED[2]).map(|(_, agreeing)| agreeing).unwrap_or_default()
             })
             .collect();
-        // Pairs of points by the number of frames that match them; each point is joined once.
+        // Pairs of points, those matched in the most pairs of frames first; each point is joined once.
         let mut votes: BTreeMap<[u32; 2], u32> = BTreeMap::new();
         for Match { points: [a, b], .. } in found.into_iter().flatten() {
             *votes.entry([a.min(b), a.max(b)]).or_default() += 1;
@@ -491,7 +491,7 @@ impl Model<'_> {
     }
 }
 
-/// The parts of a name between its numbers, each with the number behind it.
+/// The parts of a name between its numbers, each with the number that follows.
 fn parts_of_name(name: &str) -> Vec<(&str, u64)> {
     let mut parts = Vec::new();
     let mut rest = name;
@@ -516,7 +516,7 @@ fn errors(point: &Point, cameras: &[Camera]) -> Vec<f64> {
     point.track.iter().filter_map(|seen| seen.error(position, &cameras[seen.view as usize])).collect()
 }
 
-/// The middle one of some values; 0 of none.
+/// The median of some values; 0 without any.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)

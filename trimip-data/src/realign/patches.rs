@@ -38,7 +38,7 @@ impl Gray {
         Ok(Self::new(pixels.as_chunks().0, photograph.width as usize, photograph.height as usize))
     }
 
-    /// The mean of red, green and blue of [height, width] pixels, over blocks if there are too many, slightly blurred.
+    /// The sum of red, green and blue of [height, width] pixels, added over blocks if there are too many, slightly blurred.
     pub(super) fn new(pixels: &[[u8; 4]], width: usize, height: usize) -> Self {
         let by = (width.max(height)).div_ceil(LONGEST as usize).max(1);
         let (wide, high) = (width / by, height / by);
@@ -67,7 +67,7 @@ impl Gray {
         }
     }
 
-    /// Blurs lines whose `length` values are `stride` apart; there are `lines`, `next` apart.
+    /// Blurs lines of `length` values, which are `stride` apart. There are `lines` of them, which begin `next` apart.
     fn blur_along(&mut self, stride: usize, length: usize, next: usize, lines: usize) {
         let mut line = vec![0.0; length];
         for first in (0..lines).map(|i| i * next) {
@@ -80,7 +80,7 @@ impl Gray {
         }
     }
 
-    /// The patch around a place of the photograph, with a mean of 0 and a length of 1. `None` at the border and where nothing is seen.
+    /// The patch around a place of the photograph, with a mean of 0 and a length of 1. `None` at the border and in uniform parts.
     fn patch(&self, at: [f64; 2]) -> Option<[f32; LENGTH]> {
         let reach = 0.5 * SPACING * (SIDE - 1) as f64;
         let [x, y] = at.map(|place| place / self.reduction - 0.5 - reach);
@@ -128,7 +128,7 @@ pub(super) struct Match {
 }
 
 impl Patches {
-    /// The patches of frame `view` in its photograph, of at most `most` points: those with the longest tracks.
+    /// The patches of frame `view` around at most `most` points, those with the longest tracks.
     pub(super) fn new(gray: &Gray, view: u32, own: &[u32], points: &[Point], most: usize) -> Self {
         let mut own = own.to_vec();
         own.sort_by_key(|&point| (std::cmp::Reverse(points[point as usize].track.len()), point));
@@ -147,7 +147,7 @@ impl Patches {
         patches
     }
 
-    /// The patches of `other` that are each other's best match, clearly better than the second.
+    /// The patches of `self` and `other` that are each other's best match, clearly better than the second best.
     pub(super) fn matches(&self, other: &Self) -> Vec<Match> {
         let mut back = vec![(f32::MIN, 0); other.values.len()];
         let mut forth = Vec::with_capacity(self.values.len());
@@ -191,7 +191,7 @@ mod tests {
     use super::*;
     use crate::points::Observation;
 
-    /// A picture of waves that repeat nowhere, and the same shifted by whole pixels and half as bright.
+    /// A picture of waves that repeat nowhere, shifted by `shift` pixels along x.
     fn picture(shift: f64, brightness: f64) -> Gray {
         let (width, height) = (160, 120);
         let value = |x: f64, y: f64| {
@@ -230,7 +230,7 @@ mod tests {
         let [x, y] = found[0].at;
         assert_eq!([x, y], points(7.0, 4)[found[0].points[1] as usize].track[0].at);
         assert_eq!(Patches::new(&picture(0.0, 1.0), 3, &all, &points(0.0, 3), 5).points.len(), 5);
-        // A view that is not the points' has no patches, and none match.
+        // A view that saw none of the points has no patches, and so no matches.
         assert!(Patches::new(&picture(0.0, 1.0), 9, &all, &points(0.0, 3), 100).matches(&one).is_empty());
     }
 

@@ -45,7 +45,7 @@ impl Similarity {
         (scale > 0.0 && scale.is_finite() && rotation.is_finite() && shift.is_finite()).then_some(found)
     }
 
-    /// Where a point lies afterwards.
+    /// Maps a point.
     pub(super) fn of(&self, point: DVec3) -> DVec3 {
         self.scale * (self.rotation * point) + self.shift
     }

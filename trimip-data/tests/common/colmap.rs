@@ -116,7 +116,7 @@ pub fn models() -> Vec<(i32, &'static str, Vec<f64>)> {
     ]
 }
 
-/// Camera models that later versions have beside them.
+/// Camera models that later versions have in addition.
 pub fn later_models() -> Vec<(i32, &'static str, Vec<f64>)> {
     vec![(14, "SIMPLE_FISHEYE", vec![31.5, 28.7, 21.3]), (15, "FISHEYE", vec![31.5, 29.25, 28.7, 21.3])]
 }

@@ -47,7 +47,7 @@ pub fn write(path: &Path, document: &Value) {
     std::fs::write(path, serde_json::to_string_pretty(document).unwrap()).unwrap();
 }
 
-/// Two sets are the same to a trainer: cameras, pixels, scales, meaning of alpha.
+/// Asserts that two sets are equal for training: cameras, pixels, scales, meaning of alpha.
 pub fn assert_same(a: &ViewSet, b: &ViewSet) {
     assert_eq!(a.scales, b.scales);
     assert_eq!(a.alpha, b.alpha);
@@ -58,7 +58,7 @@ pub fn assert_same(a: &ViewSet, b: &ViewSet) {
     assert!(a.pixels == b.pixels, "pixels differ");
 }
 
-/// The folder of a shared data set, or a line that says why the test does nothing.
+/// The folder of a shared data set, or `None` after printing why the test does nothing.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("TRIMIP_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);

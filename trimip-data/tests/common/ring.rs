@@ -31,7 +31,7 @@ pub fn save_images(root: &Path, size: [u32; 2]) {
     (0..9).for_each(|index| save_image(&root.join(name(index)), size[0], size[1]));
 }
 
-/// The training views have the poses and intrinsics of `expected`, in order of their names; every 8th is a test view.
+/// Asserts that the training views have the poses and intrinsics of `expected`, in order of their names. Every 8th is a test view.
 pub fn assert_cameras(scene: &Scene, expected: &[Camera]) {
     let kept = expected.iter().enumerate().filter(|(index, _)| index % 8 != 0).map(|(_, camera)| camera);
     assert_eq!((scene.train.views.len(), scene.test.len()), (7, 2));
@@ -66,7 +66,7 @@ pub fn arkitscenes(root: &Path, all: &[Camera]) -> String {
         save_image(&root.join(format!("lowres_wide/41069021_{time:.3}.png")), 60, 40);
         let intrinsics = root.join("lowres_wide_intrinsics");
         fs::create_dir_all(&intrinsics).unwrap();
-        // Some are called by a time that was rounded otherwise.
+        // Some are named by a time that was rounded in another way.
         let rounded = time + [0.0, 0.001, -0.001][index % 3];
         fs::write(intrinsics.join(format!("41069021_{rounded:.3}.pincam")), "60 40 51.5 52.5 29 21\n")
             .unwrap();

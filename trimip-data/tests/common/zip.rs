@@ -1,4 +1,4 @@
-//! Writing zip archives, also those that no program writes: every field is free.
+//! Writing zip archives, including invalid ones: every field is free.
 
 use std::{fs, path::Path};
 
@@ -6,7 +6,7 @@ use std::{fs, path::Path};
 pub const STORED: u16 = 0;
 pub const DEFLATE: u16 = 8;
 
-/// A file of an archive, or what claims to be one.
+/// A file of an archive, possibly an invalid one.
 #[derive(Clone, Debug)]
 pub struct Entry {
     pub name: Vec<u8>,
@@ -19,12 +19,12 @@ pub struct Entry {
     /// Stated size.
     pub bytes: u32,
     pub packed: Vec<u8>,
-    /// Stated size of what is packed.
+    /// Stated size of the packed bytes.
     pub packed_bytes: u32,
 }
 
 impl Entry {
-    /// A file as it is.
+    /// A file without compression.
     pub fn stored(name: &str, bytes: &[u8]) -> Self {
         let mut crc = flate2::Crc::new();
         crc.update(bytes);
@@ -49,7 +49,7 @@ impl Entry {
         Self { method: DEFLATE, packed_bytes: packed.len() as u32, packed, ..Self::stored(name, bytes) }
     }
 
-    /// What both headers of an entry have: version, flags, method, time, checksum, sizes, length of the name, none of the rest.
+    /// The fields that both headers of an entry have: version, flags, method, time, checksum, sizes, length of the name, no extra field.
     fn header(&self) -> Vec<u8> {
         let mut header = Vec::new();
         for part in [20, self.flags, self.method, 0, 0x21] {
@@ -92,7 +92,7 @@ pub fn archive(entries: &[Entry]) -> Vec<u8> {
     archive
 }
 
-/// The files below a folder, compressed, with `before` before their paths.
+/// The files below a folder, compressed, with the prefix `before` on their paths.
 pub fn packed(folder: &Path, before: &str) -> Vec<Entry> {
     let mut paths: Vec<_> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     paths.sort();

@@ -71,7 +71,7 @@ fn blanks_in_names(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Exponents of three digits, line ends of Windows, features after each image, and no end of the last line.
+/// Exponents of three digits, line ends of Windows, features after each image, and no line break at the end.
 fn realityscan(root: &Path) -> Vec<Camera> {
     let (all, mut sparse) = pinholes(root, plain);
     let observed = |image: u32| [image, 0];
@@ -206,7 +206,7 @@ fn masks_with_two_endings(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Comments of its own, and a PLY file beside.
+/// Its own comments, and an additional PLY file.
 fn blendernerf(root: &Path) -> Vec<Camera> {
     let all = text_alone(root);
     let path = root.join("sparse/0/images.txt");

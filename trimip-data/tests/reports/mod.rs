@@ -1,5 +1,5 @@
-//! What people reported of their data to the trackers of other programs: each entry of `../data/reports.toml` names an input, which is
-//! written and opened here, and what must come out.
+//! Problems with data that users reported to the trackers of other programs. Each entry of `../data/reports.toml` names
+//! an input, which is written and opened here, and the expected result.
 
 mod colmap;
 mod phones;
@@ -13,19 +13,18 @@ use std::{collections::BTreeSet, path::Path};
 use trimip_core::Camera;
 use trimip_data::open;
 
-/// Writes an input into a folder. The cameras that must come out, of nine photographs in order of their names; none if they are not
-/// compared.
+/// Writes an input into a folder. Returns the expected cameras of nine photographs, in order of their names; none if they are not compared.
 type Input = fn(&Path) -> Vec<Camera>;
 
 /// A report.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Report {
-    /// Where it was told: repository and number.
+    /// Where it was reported: repository and number.
     source: String,
-    /// What was tried.
+    /// The reported input, in words.
     tried: String,
-    /// What is right.
+    /// The correct behaviour.
     right: String,
     /// The name of its input.
     input: String,
@@ -53,7 +52,7 @@ fn inputs() -> impl Iterator<Item = &'static (&'static str, Input)> {
     all.into_iter().flatten()
 }
 
-/// Opens the input of a report. Returns what came out if it is not what the report says.
+/// Opens the input of a report. Returns the result if it differs from that of the report.
 fn failure(report: &Report, input: Input) -> Option<String> {
     let folder = tempfile::tempdir().unwrap();
     let expected = input(folder.path());

@@ -76,7 +76,7 @@ fn without_time(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// An unpacked `.r3d` file: `metadata` has no ending, and depths lie beside the photographs.
+/// An unpacked `.r3d` file: `metadata` has no ending, and depths lie next to the photographs.
 fn record3d_unpacked(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     let pose = |camera: &Camera| {
@@ -95,7 +95,7 @@ fn record3d_unpacked(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Poses of a recording that was not tracked.
+/// Poses of a recording without tracking.
 fn record3d_without_tracking(root: &Path) -> Vec<Camera> {
     record3d_unpacked(root);
     let path = root.join("metadata");

@@ -80,7 +80,7 @@ fn ring(root: &Path, around: [&str; 2]) -> Vec<Camera> {
     all
 }
 
-/// Labels with the endings of photographs that were converted since.
+/// Labels with the endings that photographs had before they were converted.
 fn labels_of_files(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     let label = |index: usize| format!("IMG_{index}.JPG");
@@ -162,7 +162,7 @@ fn georeferenced(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Photographs that stand upright, by a sensor that lies.
+/// Upright photographs of a sensor with a landscape format.
 fn upright(root: &Path) -> Vec<Camera> {
     ring(root, ["", ""]);
     (0..9).for_each(|index| save_image(&root.join(format!("{index}.png")), 40, 60));
@@ -217,7 +217,7 @@ fn principal_point(root: &Path) -> Vec<Camera> {
     realitycapture(root, "f,px,py,k1,k2,k3,k4,t1,t2", values, intrinsics)
 }
 
-/// Photographs that were sorted out after the export.
+/// Photographs that were deleted after the export.
 fn more_cameras(root: &Path) -> Vec<Camera> {
     realitycapture(root, "f", "24", pinhole());
     [2, 3, 7].iter().for_each(|index| fs::remove_file(root.join(format!("{index}.png"))).unwrap());
@@ -259,7 +259,7 @@ fn in_parts(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Files that macOS puts beside others.
+/// Files that macOS puts next to others.
 fn strays(folder: &Path, name: impl Fn(usize) -> String) {
     (0..9).for_each(|index| fs::write(folder.join(format!("._{}", name(index))), b"\0\x05\x16\x07").unwrap());
     fs::write(folder.join(".DS_Store"), b"\0\0\0\x01Bud1").unwrap();

@@ -57,7 +57,7 @@ fn grey_with_alpha(root: &Path) -> Vec<Camera> {
     scene(root, "png", &ImageBuffer::from_fn(60, 40, |x, y| LumaA([x as u8, y as u8])).into())
 }
 
-/// Photographs of a phone under the names of the file.
+/// HEIC photographs of a phone, with the names in the file.
 fn heic(root: &Path) -> Vec<Camera> {
     scene(root, "jpg", &color());
     for index in 0..9 {

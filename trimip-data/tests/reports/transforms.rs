@@ -1,4 +1,4 @@
-//! Files of Instant-NGP and nerfstudio, as their own scripts, other programs and people write them.
+//! Files of Instant-NGP and nerfstudio, as their own scripts, other programs and users write them.
 
 use super::Input;
 use crate::common::{
@@ -32,7 +32,7 @@ fn matrix(camera: &Camera) -> Value {
     json!([row(0), row(1), row(2), [0, 0, 0, 1]])
 }
 
-/// A file with these frames: `named` says how photographs are called.
+/// A file with these frames: `named` returns the names of photographs.
 fn document(all: &[Camera], named: impl Fn(usize) -> String) -> Value {
     let frame = |(index, camera): (usize, &Camera)| json!({ "file_path": named(index), "transform_matrix": matrix(camera) });
     let frames: Vec<Value> = all.iter().enumerate().map(frame).collect();
@@ -109,7 +109,7 @@ fn numbers_as_texts(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// A calibration of two photographs that went astray, a tenth as large.
+/// A failed calibration from two photographs, scaled to a tenth of their size.
 fn wild_lens(root: &Path) -> Vec<Camera> {
     (0..9).for_each(|index| save_image(&root.join(name(index)), 64, 48));
     let mut document = document(&cameras(pinhole()), name);
@@ -168,7 +168,7 @@ fn dynamic_masks(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Depths are called almost as photographs are.
+/// Depth images have almost the names of the photographs.
 fn of_nerfcapture(root: &Path) -> Vec<Camera> {
     save_images(root, [60, 40]);
     let all = cameras(pinhole());
