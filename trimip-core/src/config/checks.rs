@@ -1,4 +1,5 @@
-//! What settings must be together, beyond the range of each number, which the table of defaults states.
+//! Checks beyond the range of each number, which the table of defaults states: multiples, schedules, and settings that depend
+//! on each other.
 
 use super::{
     ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, LossConfig,
@@ -13,7 +14,7 @@ impl Config {
     /// configurations built or changed in code. Training and rendering call it before they begin.
     ///
     /// # Errors
-    /// Names the first setting that is out of range, its value and what is expected.
+    /// The error names the first setting that is out of range, its value and what is expected.
     pub fn validate(&self) -> Result<()> {
         // TOML, in which a configuration is stored, has signed numbers of 64 bits.
         for (path, number) in [("seed", self.seed), ("train.steps", self.train.steps)] {
@@ -32,8 +33,8 @@ impl Config {
         self.check_all(&settings, &Checker::new(&place, &given))
     }
 
-    /// Checks ranges, what other crates ask of their settings, and what core's must be together. `settings` are those of
-    /// this configuration.
+    /// Checks the ranges, the sections of other crates, and core's settings together. `settings` are those of this
+    /// configuration.
     pub(super) fn check_all(&self, settings: &Settings, to: &Checker<'_>) -> Result<()> {
         settings.check_ranges(to)?;
         let table = settings.table();
@@ -44,7 +45,7 @@ impl Config {
         self.check_together(to)
     }
 
-    /// Checks what the range of a single number does not say.
+    /// Checks core's settings beyond the ranges of single numbers.
     fn check_together(&self, to: &Checker<'_>) -> Result<()> {
         self.data.check(to)?;
         self.scene.check(to)?;
@@ -78,7 +79,7 @@ impl Config {
         to.check(self.optimizer.milestones.is_sorted(), "optimizer.milestones", "rising fractions")?;
         self.train.check(to)?;
         self.eval.check(to)?;
-        // The plan may still choose the encoder of places.
+        // The scene plan may still choose the hash grid.
         let open = self.plan.encoder != PlanChoice::Off && !to.given("encoder.kind");
         self.refuse_settings_of_other_encoders(to, |owner| open && owner == EncoderKind::HashGrid)
     }

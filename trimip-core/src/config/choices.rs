@@ -26,7 +26,7 @@ choice!(
     Contraction {
         /// It is left out.
         None,
-        /// All of space is drawn into the box around a ball that keeps its shape (mip-NeRF 360).
+        /// All of space is contracted into the box; a ball in its middle keeps its shape (mip-NeRF 360).
         Ball,
     }
 );
@@ -35,8 +35,8 @@ choice!(
     RendererKind {
         /// Ray marching in uniform steps, and volume rendering.
         Volume,
-        /// In pictures, few samples where the model's proxy shows surfaces; volume rendering where it is unsure, and
-        /// in training.
+        /// Pictures take few samples, where the model's proxy shows surfaces. Training, and rays for which the proxy is
+        /// unsure, use volume rendering.
         Hybrid,
     }
 );
@@ -52,18 +52,18 @@ choice!(
 choice!(
     /// How a pixel is divided into cones.
     ConePattern {
-        /// Into square parts, as many along both sides.
+        /// Into a grid of square parts.
         Grid,
         /// Into five cones of its own width: in its centre and half-way to its corners.
         Quincunx,
     }
 );
 choice!(
-    /// How a tensor is a sum of products.
+    /// Factors of the products whose sum is a tensor.
     Decomposition {
-        /// Of planes and the lines across them.
+        /// Planes and the lines across them.
         Vm,
-        /// Of three lines.
+        /// Three lines.
         Cp,
     }
 );
@@ -97,7 +97,7 @@ choice!(
     }
 );
 choice!(
-    /// What becomes of a run that is predicted to need more memory than there is.
+    /// What happens to a run that is predicted to need more memory than is available.
     MemoryChoice {
         /// It does not begin.
         Refuse,
@@ -156,21 +156,21 @@ choice!(
 );
 
 choice!(
-    /// What is known of the exposure of training photographs.
+    /// Exposure of the training photographs.
     Exposure {
-        /// All have the same.
+        /// The same for all photographs.
         None,
-        /// Each has one gain per channel, see [`exposure`](crate::engine::exposure).
+        /// Each photograph has one gain per channel, see [`exposure`](crate::engine::exposure).
         Gain,
     }
 );
 
 choice!(
-    /// What becomes of the poses of training photographs.
+    /// Treatment of the poses of training photographs.
     CameraPoses {
         /// They stay as given.
         Fixed,
-        /// They are trained along, see [`poses`](crate::engine::poses).
+        /// They are trained with the model, see [`poses`](crate::engine::poses).
         Refine,
     }
 );
@@ -191,7 +191,7 @@ choice!(
         Milestones,
         /// Along half a cosine.
         Cosine,
-        /// Exponentially, anew whenever an encoder that says so grows.
+        /// Exponentially; restarts whenever an encoder that asks for it grows.
         Exponential,
     }
 );

@@ -1,4 +1,5 @@
-//! How a crop is written: the box or ball around a scene's subject to which meshes, films and viewers can be confined. World units.
+//! The text form of a crop: the box or ball around a scene's subject to which meshes, films and viewers can be confined.
+//! World units.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -7,7 +8,7 @@ use std::str::FromStr;
 /// Greatest absolute value of a coordinate, as of the corners of a scene's box.
 const FARTHEST: f64 = 1e9;
 
-/// How a crop is written.
+/// Syntax of a crop, for messages.
 pub const SYNTAX: &str =
     "none, box X,Y,Z,X,Y,Z (lower and upper corner) or ball X,Y,Z,RADIUS, in world units";
 

@@ -1,5 +1,5 @@
-//! The definitions of settings: default, range, meaning, and whether a run that goes on may change them. Core's are the table
-//! `defaults.toml`; other crates add [`ForeignSection`]s, whose tables have the same syntax and stand in the text at their places.
+//! The definitions of settings: default, range, meaning, and whether a resumed run may change them. Core's are in the table
+//! `defaults.toml`. Other crates add [`ForeignSection`]s, whose tables have the same syntax and are inserted into core's.
 
 use crate::Result;
 use crate::config::range::Range;
@@ -12,30 +12,30 @@ use toml::{Table, Value};
 /// Core's settings with their defaults and their meanings, as a configuration file.
 const CORE: &str = include_str!("defaults.toml");
 
-/// What begins the meaning of a setting, or of a section, that a run may change when it goes on.
+/// Mark at the beginning of the meaning of a setting, or of a section, that a resumed run may change.
 const FREE: &str = "free: ";
 
-/// What begins the meaning of a section of core to which other crates add settings.
+/// Mark at the beginning of the meaning of a section of core to which other crates add settings.
 const SHARED: &str = "shared: ";
 
-/// Settings that stand together in a section.
+/// Consecutive settings of a section.
 #[derive(Clone, Copy, Debug)]
 pub struct Fragment {
-    /// The key that they follow; empty: they begin their section.
+    /// Key that they follow; empty if they begin their section.
     pub after: &'static str,
     /// The section's header and a line for each setting, in the syntax of core's table.
     pub table: &'static str,
 }
 
-/// A section that a crate other than core owns, or its settings in a section that it shares with core:
-/// [`Section`](crate::Section) makes it.
+/// A section that a crate other than core owns, or the crate's settings in a section that it shares with core. Made from
+/// a [`Section`](crate::Section).
 #[derive(Clone, Copy)]
 pub struct ForeignSection {
     /// Name, as between brackets.
     pub name: &'static str,
     /// Its settings.
     pub fragments: &'static [Fragment],
-    /// Refuses the values of a section, as a table.
+    /// Checks the values of the section, given as a table.
     pub(crate) check: fn(&Table, &Checker<'_>) -> Result<()>,
 }
 
@@ -44,7 +44,7 @@ pub struct ForeignSection {
 pub struct DocumentedSection {
     /// Name, as between brackets.
     pub name: String,
-    /// What the section is about.
+    /// Meaning of the section.
     pub meaning: String,
     /// True if other crates than core may add settings to it.
     pub shared: bool,
@@ -59,22 +59,22 @@ pub struct DocumentedSetting {
     pub key: String,
     /// Default, as TOML.
     pub default: String,
-    /// The numbers that it takes, such as `0 to 1024`; empty if it is no number.
+    /// Range of its numbers, such as `0 to 1024`; empty if the setting is not a number.
     pub range: String,
-    /// What it means.
+    /// Meaning, as in the table.
     pub meaning: String,
-    /// True if a run may have another value when it goes on.
+    /// True if a resumed run may change it.
     pub free: bool,
 }
 
-/// The path of a setting of another crate than core, and the key in its section that it follows.
+/// Path of a setting of a crate other than core, and the key that it follows in its section.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Placed {
     pub path: String,
     pub after: String,
 }
 
-/// What is known of a setting.
+/// Definition of a setting.
 #[derive(Clone, Debug)]
 pub(crate) struct Definition {
     pub default: Value,
@@ -82,14 +82,14 @@ pub(crate) struct Definition {
     pub free: bool,
 }
 
-/// The definitions of all settings that a program knows: core's, and those of the sections that it registered.
+/// The definitions of all settings of a program: core's, and those of the sections that the program registered.
 pub struct Definitions {
     text: String,
     documented: Vec<DocumentedSection>,
     known: BTreeMap<String, Definition>,
     registered: Vec<ForeignSection>,
     placed: Vec<Placed>,
-    /// Names of sections that other builds know.
+    /// Names of sections that only other builds define.
     absent: Vec<&'static str>,
 }
 
@@ -127,7 +127,7 @@ impl Definitions {
         }
     }
 
-    /// These definitions, and those of `section`, unless they are among them.
+    /// Adds the definitions of `section`, unless they are registered already.
     pub(crate) fn with(self: &Arc<Self>, section: ForeignSection) -> Arc<Self> {
         if self.registered.iter().any(|known| known.name == section.name) {
             return self.clone();
@@ -151,7 +151,7 @@ impl Definitions {
         self.known.iter().map(|(path, definition)| (path.as_str(), &definition.default))
     }
 
-    /// The default of a setting, which has its type; `None` for settings that are not known.
+    /// The default of a setting, which has its type; `None` for unknown settings.
     pub fn default(&self, path: &str) -> Option<&Value> {
         self.known.get(path).map(|definition| &definition.default)
     }
@@ -161,7 +161,7 @@ impl Definitions {
         self.known.get(path)?.range.as_ref()
     }
 
-    /// True for a setting that a run may have otherwise when it goes on.
+    /// True for a setting that a resumed run may change.
     pub fn is_free(&self, path: &str) -> bool {
         self.known.get(path).is_some_and(|definition| definition.free)
     }
@@ -176,12 +176,12 @@ impl Definitions {
         &self.placed
     }
 
-    /// True for a section that other builds know.
+    /// True for a section that only other builds define.
     pub(crate) fn is_absent(&self, section: &str) -> bool {
         self.absent.contains(&section)
     }
 
-    /// True for a section to which crates add settings that these definitions may not have.
+    /// True for a section that may have settings beyond these definitions: a shared or an unknown one.
     pub(crate) fn may_have_more(&self, section: &str) -> bool {
         self.documented.iter().find(|known| known.name == section).is_none_or(|known| known.shared)
     }
@@ -215,7 +215,7 @@ pub(crate) fn definitions_of(fragment: &Fragment) -> BTreeMap<String, Definition
     definitions(fragment.table, &documented(fragment.table))
 }
 
-/// Header, the key before it, and line of each setting of a fragment.
+/// Section header, preceding key, and line of each setting of a fragment.
 fn settings_of(fragment: &Fragment) -> impl Iterator<Item = (&'static str, &'static str, &'static str)> {
     let (mut header, mut after) = ("", fragment.after);
     fragment.table.lines().filter_map(move |line| {
@@ -298,12 +298,12 @@ impl Definitions {
     }
 }
 
-/// With a backslash before every `sign`, so that Markdown takes it as it is.
+/// Puts a backslash before every `sign`, so that Markdown shows it literally.
 fn escaped(text: String, sign: &char) -> String {
     text.replace(*sign, &format!("\\{sign}"))
 }
 
-/// With a capital at the beginning.
+/// Capitalises the first letter.
 fn sentence(text: &str) -> String {
     let mut rest = text.chars();
     rest.next().map_or_else(String::new, |first| first.to_uppercase().chain(rest).collect())

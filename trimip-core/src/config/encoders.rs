@@ -27,7 +27,7 @@ pub enum EncoderKind {
 }
 
 impl EncoderKind {
-    /// Its name as in a configuration, in quotation marks.
+    /// Name as in a configuration, in quotation marks.
     pub fn name(self) -> String {
         toml::Value::try_from(self).map_or_else(|_| format!("{self:?}"), |name| name.to_string())
     }
@@ -37,7 +37,7 @@ impl EncoderKind {
         Self::owner(path).is_none_or(|owner| owner == self)
     }
 
-    /// The encoder that a setting belongs to, by dotted path; `None` for the settings of all.
+    /// Returns the encoder that owns a setting, given its dotted path; `None` for settings that all encoders share.
     pub(super) fn owner(path: &str) -> Option<Self> {
         match path.split_once('.') {
             Some(("encoder", "kind")) => None,
@@ -89,7 +89,7 @@ section!(
     VoxelsConfig, "voxels" { sides: Schedule, harmonics: u32, density_rate: f64, color_rate: f64 }
 );
 
-/// The form of a schedule of left-out detail, for errors.
+/// Required form of a coarse-to-fine schedule, for errors.
 const FALLING: &str = "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers";
 
 impl EncoderConfig {
@@ -148,7 +148,7 @@ impl VoxelsConfig {
     }
 }
 
-/// True for a growing number of grid points along a side.
+/// True if every piece has more grid points along a side than the one before.
 fn rising(sides: &Schedule) -> bool {
     let values = || sides.values();
     sides.is_whole() && values().all(|side| side.fract() == 0.0) && values().is_sorted_by(|a, b| a < b)

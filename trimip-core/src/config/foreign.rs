@@ -1,4 +1,4 @@
-//! The settings of a configuration that other crates than core own: their values, and where they stand in its text.
+//! Settings of a configuration that crates other than core own: their values, and their places in its text.
 
 use super::Config;
 use crate::config::defaults::{Definitions, ForeignSection, Placed};
@@ -39,7 +39,7 @@ impl PartialEq for Foreign {
 }
 
 impl Foreign {
-    /// Those of `settings`.
+    /// Collects the foreign values of `settings`.
     pub(super) fn of(settings: &Settings) -> Self {
         let core = Definitions::core();
         let foreign = settings.iter().filter(|(path, ..)| core.default(path).is_none());
@@ -60,7 +60,7 @@ impl Foreign {
         self.values.keys()
     }
 
-    /// A value, or else its default, which `other` may know.
+    /// Returns a value, or its default from the definitions of `self` or `other`.
     pub(super) fn value<'a>(&'a self, path: &str, other: &'a Self) -> Option<&'a Value> {
         let default = || self.definitions.default(path).or(other.definitions.default(path));
         self.values.get(path).or_else(default)
@@ -81,11 +81,11 @@ impl Foreign {
 }
 
 impl Config {
-    /// A section that another crate owns, in its typed form. Settings that this configuration does not name have their
-    /// defaults.
+    /// Returns a section that another crate owns, in its typed form. Settings that this configuration does not name have
+    /// their defaults.
     ///
     /// # Errors
-    /// Names the first setting that has no such value or is out of range.
+    /// The error names the first setting whose value has the wrong type or is out of range.
     pub fn section<S: Section>(&self) -> Result<S> {
         let settings = self.as_settings();
         let table = settings.table();

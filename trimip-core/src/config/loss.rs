@@ -1,4 +1,4 @@
-//! The settings of the loss, of all of its terms.
+//! The settings of the loss and of all its terms.
 
 use super::{
     choices::{Exposure, LossRays},

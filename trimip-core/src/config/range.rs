@@ -12,21 +12,21 @@ pub struct Range {
 }
 
 impl Range {
-    /// The range that a text such as `0 to 1024` states.
+    /// Parses a range such as `0 to 1024`.
     pub(crate) fn parse(text: &str) -> Option<Self> {
         let (low, high) = text.split_once(" to ")?;
         let [low, high] = [low, high].map(|number| number.parse::<f64>().ok());
         Some(Self { low: low?, high: high?, text: text.into() })
     }
 
-    /// True if a number lies within. A limit that was rounded to f32 is still that limit.
+    /// True if the range contains a number. A limit rounded to f32 still counts as the limit.
     fn contains(&self, number: f64) -> bool {
         let limit = |limit: f64| number as f32 == limit as f32;
         (self.low..=self.high).contains(&number)
             || number.fract() != 0.0 && (limit(self.low) || limit(self.high))
     }
 
-    /// True for a number within, a list of such numbers, and pairs with such a second number.
+    /// True for a number in the range, a list of such numbers, and a list of pairs whose second numbers are in the range.
     pub(crate) fn holds(&self, value: &Value) -> bool {
         match value {
             Value::Integer(number) => self.contains(*number as f64),
@@ -37,13 +37,13 @@ impl Range {
                 }
                 value => matches!(value, Value::Integer(_) | Value::Float(_)) && self.holds(value),
             }),
-            // `eval.final` takes a stride or a flag; no other number can be one.
+            // `eval.final` takes a stride or a flag; no other setting with a range has a flag.
             Value::Boolean(_) => true,
             _ => false,
         }
     }
 
-    /// What is expected of a value, for an error.
+    /// Text of what is expected of a value, for an error.
     pub(crate) fn expected(&self, value: &Value) -> String {
         match value {
             Value::Array(_) => format!("{} for each value", self.text),

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Pieces `[fraction, value]` with rising fractions; the first starts at 0. `[[0.0, 4.0], [0.5, 1.0]]` is 4 in the first
 /// half of a run and 1 in the second.
-/// Settings may give a number in its place, which is a constant.
+/// Settings may give a single number instead: a constant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Schedule(Vec<[f64; 2]>);
@@ -21,7 +21,7 @@ impl Schedule {
         begun.last().or(self.0.first()).map_or(0.0, |[_, value]| *value)
     }
 
-    /// Where the piece at `progress` begins.
+    /// Fraction of the run at which the piece at `progress` begins.
     pub fn since(&self, progress: f64) -> f64 {
         let begun = self.0.iter().take_while(|[fraction, _]| *fraction <= progress);
         begun.last().map_or(0.0, |[fraction, _]| *fraction)

@@ -1,4 +1,4 @@
-//! The sections of the configuration, and what follows from the settings of one section alone.
+//! The sections of the configuration, and values derived from the settings of a single section.
 
 use super::choices::{
     CameraPoses, ConePattern, Contraction, Convention, DensityFunction, FilePrecision, FinalEval, HybridRule,
@@ -29,8 +29,8 @@ macro_rules! section {
 pub(crate) use section;
 
 section!(
-    /// What core knows of the photographs: their folder, their scales and what their pixels show. `trimip-data` adds how they
-    /// are read.
+    /// Core's settings of the photographs: their folder, their scales and the meaning of their pixels. `trimip-data` adds
+    /// settings of how photographs are read.
     PhotographsConfig, "data" {
         root: String, origin: Vec<f64>, scales: u32, convention: Convention, edge_exponents: Vec<f32>, background: [f32; 3],
     }
@@ -40,7 +40,7 @@ section!(
     SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction, up: [f32; 3], crop: Crop }
 );
 section!(
-    /// What the scene plan may derive from the data and the budget, and what it may leave out.
+    /// Settings that the scene plan may derive from the data and the budget, and parts that it may leave out.
     PlanConfig, "plan" {
         aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, direction_delay: PlanChoice, surfaces: PlanChoice, density: PlanChoice, error_map: PlanChoice, coarse_to_fine: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }

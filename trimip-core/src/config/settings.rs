@@ -45,7 +45,7 @@ impl std::fmt::Display for Origin {
     }
 }
 
-/// The origin of this text, which [`Display`](std::fmt::Display) writes.
+/// Parses the text that [`Display`](std::fmt::Display) writes.
 impl From<&str> for Origin {
     fn from(text: &str) -> Self {
         let known = [Self::Default, Self::CommandLine, Self::Code, Self::Plan];
@@ -59,9 +59,9 @@ impl From<&str> for Origin {
 pub struct Settings {
     definitions: Arc<Definitions>,
     entries: BTreeMap<String, (Value, Origin)>,
-    /// Settings without a definition, as they were given.
+    /// Undefined settings, in the order in which they were given.
     carried: Vec<Placed>,
-    /// True if settings of crates that these definitions do not know are carried along.
+    /// True if settings of other crates that these definitions lack are accepted and kept.
     carries: bool,
 }
 
@@ -72,7 +72,7 @@ impl std::fmt::Debug for Settings {
 }
 
 impl Settings {
-    /// The defaults of core's settings alone. Programs have those of all crates: `trimip::settings::defaults`.
+    /// The defaults of core's settings alone; `trimip::settings::defaults` has those of all crates.
     pub fn defaults() -> Self {
         Self::of(Definitions::core())
     }
@@ -85,8 +85,8 @@ impl Settings {
         Self { definitions, entries, carried: Vec::new(), carries: false }
     }
 
-    /// The same, to which files may add settings of other crates that are not defined here. They are carried along as they
-    /// are; who owns them checks them when it reads them.
+    /// Like [`of`](Self::of), but files may add settings of other crates that are not defined here. These settings are kept
+    /// unchanged; the crate that owns them checks them when it reads them.
     pub(crate) fn carrying(definitions: Arc<Definitions>) -> Self {
         Self { carries: true, ..Self::of(definitions) }
     }
@@ -104,7 +104,7 @@ impl Settings {
     /// Applies the text of a configuration file; `name` is used in errors.
     ///
     /// # Errors
-    /// When the text is not TOML, a key is unknown or a value has another type; names line and column.
+    /// When the text is not TOML, a key is unknown or a value has another type; the error names line and column.
     pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
         let table = DeTable::parse(text).map_err(|error| {
             let place = error.span().map_or(name.to_string(), |span| place(name, text, span.start));
@@ -134,7 +134,7 @@ impl Settings {
                 _ => self.put(&path, plain(value), &place(name, text, start), origin())?,
             }
         }
-        // In the order of the text, in which they are written again.
+        // Sorted by their order in the text, in which they are written again.
         undefined.sort_by_key(|(start, ..)| *start);
         for (start, path, value) in undefined {
             let place = place(name, text, start);
@@ -200,8 +200,8 @@ impl Settings {
         self.entries.get(path).map_or(&Origin::Default, |(_, origin)| origin)
     }
 
-    /// Says where the effective value of a setting came from; nothing happens if there is no such setting. [`Origin::Default`] also gives
-    /// it the form of the default.
+    /// Sets the origin of a setting's effective value; does nothing if there is no such setting. [`Origin::Default`] also
+    /// replaces the value by the default.
     pub fn set_origin(&mut self, path: &str, origin: Origin) {
         let Some((value, own)) = self.entries.get_mut(path) else { return };
         if origin == Origin::Default
@@ -248,7 +248,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Keeps a setting that is not defined behind the one with the key `after`, if such settings are carried along.
+    /// Keeps an undefined setting, placed after the key `after`. Fails if the section takes no undefined settings.
     fn carry(&mut self, path: &str, after: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
         let (section, key) = parts_of(path);
         let bare =
@@ -271,7 +271,7 @@ impl Settings {
         ))
     }
 
-    /// True if settings of a section are carried along without being defined.
+    /// True if a section takes undefined settings.
     fn carries_in(&self, section: &str) -> bool {
         let others = self.carries && self.definitions.may_have_more(section);
         !section.is_empty() && (others || self.definitions.is_absent(section))
@@ -301,7 +301,7 @@ impl Settings {
         self.entries.iter().map(|(path, (value, origin))| (path.as_str(), value, origin))
     }
 
-    /// Where the value at `path` came from, as text for an error.
+    /// Origin and value of the setting at `path`, as text for an error.
     pub fn place(&self, path: &str) -> String {
         match self.entries.get(path) {
             Some((value, origin)) => format!("{origin}: {path} = {}", shown(value)),

@@ -51,8 +51,8 @@ impl<R: Real> Aabb<R> {
 
     /// Distances at which a ray enters (not before 0) and leaves the box; enter ≥ leave when it misses.
     ///
-    /// Slabs; a component of the direction that is exactly zero makes no quotient (0·∞): the ray is inside that slab
-    /// for ever or never.
+    /// Slab method. A direction component of exactly zero is not divided by (0·∞ is NaN): the ray is inside that slab
+    /// everywhere or nowhere.
     #[inline]
     pub fn intersect(&self, origin: [R; 3], direction: [R; 3]) -> (R, R) {
         let (mut enter, mut leave) = (R::zero(), R::infinity());
@@ -96,8 +96,8 @@ impl Config {
         Aabb::<f32>::new(&self.scene).longest() * 3.0_f32.sqrt() / self.renderer.steps_per_diagonal as f32
     }
 
-    /// The same run with its box centred at the origin, and the former centre of the box. Far from the origin, f32 is too
-    /// coarse for positions within the box.
+    /// This configuration with its box centred at the origin, and the centre of the original box. Far from the origin, f32
+    /// is too coarse for positions within the box.
     pub fn centred(&self) -> (Self, DVec3) {
         let scene = Aabb::<f64>::new(&self.scene);
         let centre: [f64; 3] = std::array::from_fn(|axis| 0.5 * (scene.min[axis] + scene.max[axis]));

@@ -8,7 +8,7 @@ use crate::math::scalar::Real;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Image size, focal lengths and principal point in pixels, and lens. What a focal length is, the lens' camera model says.
+/// Image size, focal lengths and principal point in pixels, and lens. The lens' camera model defines what a focal length is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Width of the image.
@@ -36,7 +36,7 @@ impl Intrinsics {
         Self { width, height, fx: focal, fy: focal, cx, cy, ..Self::default() }
     }
 
-    /// The same view with pixels `2^level` times larger. Rows and columns that do not fill a 2×2 block are cropped,
+    /// This view with pixels `2^level` times larger. Rows and columns that do not fill a 2×2 block are cropped,
     /// which leaves the geometry of the other pixels exact.
     pub fn reduced(&self, level: u32) -> Self {
         let scale = f64::from(1_u32 << level);
@@ -64,7 +64,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// All numbers of the camera. Equal cameras have equal numbers, and different ones differ in one.
+    /// All numbers of the camera. Two cameras are equal if and only if their numbers are.
     pub fn numbers(&self) -> Vec<f64> {
         let Intrinsics { width, height, fx, fy, cx, cy, lens } = self.intrinsics;
         let plain = [width.into(), height.into(), fx, fy, cx, cy, f64::from(lens.model as u8)];
@@ -158,14 +158,14 @@ impl<R: Real> LocalCone<R> {
 }
 
 impl Intrinsics {
-    /// A place in the image, from the principal point, in focal lengths: x right, y down.
+    /// Converts a place in the image to the offset from the principal point, in focal lengths: x right, y down.
     #[inline]
     pub(crate) fn normalised<R: Real>(&self, at: [R; 2]) -> [R; 2] {
         let real = |value: f64| R::from_f64(value);
         [(at[0] - real(self.cx)) / real(self.fx), (at[1] - real(self.cy)) / real(self.fy)]
     }
 
-    /// Radius of the disc with the area of a square of the image of this `side`, in focal lengths.
+    /// Radius, in focal lengths, of the disc with the area of a square of `side` pixels.
     #[inline]
     pub(crate) fn disc<R: Real>(&self, side: R) -> R {
         side * R::from_f64((std::f64::consts::PI * self.fx * self.fy).sqrt().recip())
@@ -211,7 +211,7 @@ impl Camera {
         self.cone_in(x, y, 0, PixelPattern::WHOLE)
     }
 
-    /// Cone number `index` of pixel (`x`, `y`): row by row of a grid; of the quincunx the centre first.
+    /// Cone number `index` of pixel (`x`, `y`). A grid is numbered row by row, the quincunx from its centre.
     #[inline]
     pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, pattern: PixelPattern) -> Cone<R> {
         match pattern {
@@ -260,9 +260,9 @@ impl Camera {
 /// Largest distance to the apex over the distance to the origin, see [`apex_distance`].
 pub const FARTHEST_APEX: f64 = 32.0;
 
-/// Distance of the point at distance `t` along a ray from the apex of its cone, which has that radius at the origin. A cylinder
-/// gets an apex far behind its origin: for an interval of length δ around t, moments of the cone's slice are those of the
-/// cylinder's but for a share of (δ/64t)².
+/// Distance from the apex of a cone to the point at distance `t` along its axis; `radius` is that of the cone at the ray's origin.
+/// A cylinder gets an apex far behind its origin: for an interval of length δ around t, the moments of the cone's slice differ
+/// from the cylinder's by a share of (δ/64t)².
 #[inline(always)]
 pub fn apex_distance<R: Real>(radius: R, slope: R, t: R) -> R {
     let farthest = R::from_f64(FARTHEST_APEX);

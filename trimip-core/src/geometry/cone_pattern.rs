@@ -1,9 +1,9 @@
 //! The cones inside of a pixel.
 
-/// Where the cones of a pixel are.
+/// Arrangement of the cones of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PixelPattern {
-    /// One cone in each of so many × so many parts of the pixel.
+    /// A grid with this many cones along each side of the pixel, one in each part.
     Grid(u32),
     /// Five cones of the pixel's width, at its centre and at (±¼, ±¼) of a pixel around it.
     Quincunx,
@@ -22,7 +22,7 @@ impl PixelPattern {
         }
     }
 
-    /// The same with at most `most` parts along a side. A quincunx has no other size.
+    /// This pattern with at most `most` parts along a side. A quincunx stays as it is.
     pub fn within(self, most: u32) -> Self {
         match self {
             Self::Grid(side) => Self::Grid(side.min(most).max(1)),

@@ -1,4 +1,4 @@
-//! What lies within the crop of a scene, and the box around it.
+//! Containment of points in the crop of a scene, and the crop's bounding box.
 
 use super::aabb::Aabb;
 use crate::config::Crop;

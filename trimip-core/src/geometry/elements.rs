@@ -19,7 +19,7 @@ pub struct Ray {
     pub cosine: f32,
     /// Radius of the sphere at `origin`, world units: 0 for an apex.
     pub radius: f32,
-    /// WGSL aligns vectors of three to four floats.
+    /// Padding: WGSL aligns vectors of three floats to the size of four.
     pub padding: [f32; 3],
 }
 
@@ -30,7 +30,7 @@ impl Ray {
         self.radius + self.slope * t
     }
 
-    /// Distance of the point at distance `t` from the cone's apex.
+    /// Distance from the cone's apex to the point at distance `t` along the ray.
     #[inline(always)]
     pub fn apex_distance(&self, t: f32) -> f32 {
         apex_distance(self.radius, self.slope, t)
@@ -56,7 +56,7 @@ impl From<Cone<f32>> for Ray {
 pub struct Target {
     /// Colour of the photograph's pixel on the background.
     pub rgb: [f32; 3],
-    /// Weight of the pixel: its area, 4^level, divided by how much oftener than evenly its scale and the pixel are drawn.
+    /// Weight of the pixel: its area, 4^level, divided by the probability of its scale and of the pixel relative to even drawing.
     pub weight: f32,
     /// Background colour behind the ray.
     pub background: [f32; 3],
@@ -68,8 +68,8 @@ pub struct Target {
     pub distance: f32,
     /// Standard deviation of `distance`; 0 if no point is known.
     pub deviation: f32,
-    /// Probability of the pixel if its scale were drawn from evenly, relative to the one that it has: 1 without an
-    /// [`ErrorMap`](crate::engine::error_map::ErrorMap). A part of the weight.
+    /// Probability of the pixel if all pixels of its scale were equally likely, divided by its actual probability: 1 without
+    /// an [`ErrorMap`](crate::engine::error_map::ErrorMap). A factor of the weight.
     pub importance: f32,
 }
 
@@ -105,7 +105,7 @@ impl Segment {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Interval {
-    /// Distance of its midpoint, in units of the unit direction.
+    /// Distance of its midpoint along the ray's unit direction.
     pub t: f32,
     /// Its length δ.
     pub length: f32,

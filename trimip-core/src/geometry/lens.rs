@@ -1,6 +1,6 @@
-//! Lenses that bend rays: where the image of a direction departs from that of a pinhole. (x, y) is a direction before the
-//! lens: the point where it meets the plane at distance 1, x right and y down; for a fisheye, the angle to the optical axis
-//! in the same direction. (X, Y) is its image in units of the focal lengths.
+//! Lens distortion: how the image of a direction differs from that of a pinhole. (x, y) is an undistorted direction: the point
+//! where it meets the plane at distance 1, x right and y down; for a fisheye, a vector that points the same way and is as long
+//! as the angle to the optical axis. (X, Y) is the direction's image in units of the focal lengths.
 //!
 //! With r² = x² + y² and f = (1 + k₁r² + k₂r⁴ + k₃r⁶ + k₄r⁸) / (1 + d₁r² + d₂r⁴ + d₃r⁶):
 //!
@@ -25,7 +25,7 @@ const DOMAIN_STEPS: u32 = 4096;
 /// The camera model of a lens, and its distortion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Lens {
-    /// The camera model: what the undistorted coordinates are. Files of before state `fisheye`, true or false.
+    /// The camera model, which defines the undistorted coordinates. Files of earlier versions have a flag `fisheye` instead.
     #[serde(default, alias = "fisheye", deserialize_with = "model_or_flag")]
     pub model: Model,
     /// k₁ to k₄.
@@ -36,16 +36,16 @@ pub struct Lens {
     pub tangential: [f64; 2],
     /// s₁, s₂.
     pub prism: [f64; 2],
-    /// The lens maps circles of smaller undistorted radius one to one; beyond, it has no rays.
+    /// Undistorted radius up to which the lens maps circles one to one; it has no rays beyond.
     domain: f64,
 }
 
-/// A direction before a lens.
+/// An undistorted direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unbent<R> {
     /// Undistorted coordinates.
     pub at: [R; 2],
-    /// Area of the image of a small surface around them, over its own.
+    /// Area of the image of a small surface around `at`, divided by the surface's own area.
     pub area: R,
 }
 
@@ -80,7 +80,7 @@ impl Lens {
         Self { model, ..Self::default() }.with_domain()
     }
 
-    /// The lens of pictures on the way of a camera with this lens: a pinhole for a lens that bends, else the same.
+    /// The lens without distortion: a pinhole for a model that has coefficients, otherwise the same model.
     pub fn without_distortion(&self) -> Self {
         if self.model.definition().distorted { Self::default() } else { Self::of(self.model) }
     }
@@ -107,7 +107,7 @@ impl Lens {
         self.domain
     }
 
-    /// Finds the domain: up to it, the image of a circle grows with the circle.
+    /// Finds the domain: the radius up to which the image of a circle grows with the circle.
     fn with_domain(mut self) -> Self {
         if self.is_straight() {
             return Self::default();
@@ -178,7 +178,7 @@ impl Lens {
         let domain = R::from_f64(self.domain);
         let scale = R::one() + image[0].abs() + image[1].abs();
         let enough = R::from_f64(8.0) * R::epsilon() * scale;
-        // The image of a point lies in its direction, and a start within the domain does not leave it by much.
+        // The image of a point lies in about the same direction as the point; a start within the domain stays near it.
         let radius = image[0].hypot(image[1]);
         let shrink = if radius > domain { domain / radius } else { R::one() };
         let mut at = image.map(|c| c * shrink);
@@ -191,7 +191,7 @@ impl Lens {
                 return inside.then_some(Unbent { at, area });
             }
             let step = [(d * error[0] - b * error[1]) / area, (a * error[1] - c * error[0]) / area];
-            // A step across the whole domain is one of a method that diverges.
+            // Steps are limited to half of the domain, so that the method does not diverge.
             let length = step[0].hypot(step[1]);
             let most = R::from_f64(0.5) * domain;
             let part = if length > most { most / length } else { R::one() };
@@ -277,7 +277,7 @@ mod tests {
             assert!(lens.unbend([0.0, radius]).is_none() && lens.unbend([radius as f32, 0.0]).is_none());
         }
         assert!(lens.unbend([f64::NAN, 0.0]).is_none());
-        // An ideal fisheye sees behind itself, up to its own back.
+        // An ideal fisheye sees behind itself, up to π from its axis.
         let lens = Lens::fisheye([0.0; 4], [0.0; 2], [0.0; 2]);
         assert!(lens.unbend([3.1, 0.0]).is_some() && lens.unbend([3.2, 0.0]).is_none());
         assert!(Lens::perspective([0.0; 4], [0.0; 2], [0.0; 3]).is_straight() && !lens.is_straight());

@@ -4,7 +4,7 @@
 /// True if the set holds `index`.
 ///
 /// # Panics
-/// If the bytes end before it.
+/// If the bytes end before `index`.
 pub fn is_set(bits: &[u8], index: usize) -> bool {
     bits[index / 8] >> (index % 8) & 1 == 1
 }
@@ -25,7 +25,7 @@ pub fn clear(bits: &mut [u8], index: usize) {
     bits[index / 8] &= !(1 << (index % 8));
 }
 
-/// The set of those of `0..count` that `holds`; the bits behind the last one are 0.
+/// The set of the indices in `0..count` for which `holds` is true; the bits behind the last one are 0.
 pub fn of(count: usize, holds: impl Fn(usize) -> bool) -> Vec<u8> {
     let mut bits = vec![0; count.div_ceil(8)];
     (0..count).filter(|&index| holds(index)).for_each(|index| set(&mut bits, index));

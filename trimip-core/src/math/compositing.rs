@@ -22,11 +22,11 @@ impl<R: Real> Composite<R> {
     }
 }
 
-/// No colour is brighter than this: a field without networks can have colours above 1.
+/// Upper bound of a colour: a field without networks can have colours above 1.
 pub const BRIGHTEST: f64 = 1024.0;
 
 /// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
-/// α by `exp_m1`: thin samples keep their relative accuracy.
+/// `exp_m1` computes α, so that thin samples keep their relative accuracy.
 #[inline]
 pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
     let alpha = -(-depth).exp_m1();
@@ -40,8 +40,8 @@ pub struct Pruning<R> {
     /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance, or of the minimum
     /// weight if that is larger, because no weight exceeds the transmittance before it.
     pub max_depth: R,
-    /// Samples merge until their weight T·(1 − exp(−Σ x)) is at least this. The last of them is kept and stands for the
-    /// optical depth of all. What is left at the end of a ray has less weight than this, and is dropped.
+    /// Samples merge until their weight T·(1 − exp(−Σ x)) is at least this. The last of them is kept, with the optical
+    /// depth of all. Faint samples left at the end of a ray together have less weight than this, and are dropped.
     pub min_weight: R,
 }
 
@@ -52,14 +52,14 @@ pub struct Passed<R> {
     pub depth: R,
     /// Optical depth of the faint samples since the last kept one. They merge with the next kept one.
     pub faint: R,
-    /// A sample behind `depth` is faint if its optical depth is below this one, whose weight there is the minimum weight.
+    /// Optical depth below which a sample behind `depth` is faint: its weight there is the minimum weight.
     least: R,
 }
 
 /// Decision about a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Visibility<R> {
-    /// It is kept, and stands for a stretch so many times as long as its own: at least 1.
+    /// It is kept, and represents an interval this many times as long as its own: at least 1.
     Keep(R),
     /// It is dropped, and merges with the next one.
     Merge,
@@ -81,7 +81,7 @@ impl<R: Real> Pruning<R> {
         Passed { depth, faint: R::zero(), least }
     }
 
-    /// Decides about a sample of optical depth `depth`, and adds it to what the ray has passed.
+    /// Decides about a sample of optical depth `depth`, and adds the sample to `passed`.
     #[inline]
     pub fn decide(&self, passed: &mut Passed<R>, depth: R) -> Visibility<R> {
         if passed.depth > self.max_depth {
@@ -270,7 +270,7 @@ mod tests {
         assert_eq!(all.decide(&mut all.behind(1e30), 1.0), Keep(1.0));
     }
 
-    /// However thin a medium is cut, its samples merge to the same opacity: what is left at the end weighs less than the limit.
+    /// However thin a medium is cut, its samples merge to the same opacity, up to faint samples at the end below the minimum weight.
     #[test]
     fn merging_keeps_the_optical_depth_of_fog() {
         for (count, total) in [(10_u32, 0.3), (1000, 0.3), (1000, 2.0), (100_000, 0.02)] {
@@ -290,7 +290,7 @@ mod tests {
         }
     }
 
-    /// The gradient of an opaque sample goes to 0, times its depth too: no rounding error may make it grow.
+    /// The gradient of an opaque sample goes to 0, even multiplied by its depth: no rounding error may make it grow.
     #[test]
     fn opaque_samples_have_no_gradient() {
         for depth in [30.0_f32, 1e3, 1e8, 1e30] {

@@ -1,4 +1,4 @@
-//! Formulas that know nothing of scenes or devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3),
+//! Formulas independent of scenes and devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3),
 //! spherical harmonics, counter-based random numbers, sets of bits, bases across a direction, functions of
 //! symmetric matrices, rounding.
 

@@ -1,7 +1,7 @@
 //! Counter-based random numbers: a hash of (seed, sequence, step, index) and nothing else. There is no state to save, any
-//! thread or GPU sequence draws the number it needs, and 32-bit integer arithmetic gives the same bits everywhere.
+//! CPU or GPU thread draws the number it needs, and 32-bit integer arithmetic gives the same bits everywhere.
 
-/// Purpose of a random number; streams are independent.
+/// Purpose of a random number; sequences are independent of each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum Sequence {
@@ -17,7 +17,7 @@ pub enum Sequence {
     Point = 5,
     /// Backgrounds of training rays.
     Background = 6,
-    /// Directions in which rays are moved, for the gradient by poses.
+    /// Directions in which rays are moved, for the gradient with respect to poses.
     Motion = 7,
     /// Samples that have a backward pass.
     Sample = 8,
@@ -61,7 +61,7 @@ impl Random {
 pub struct Draws([u32; 4]);
 
 impl Draws {
-    /// What a device needs to draw the same numbers.
+    /// State from which a device draws the same numbers.
     pub fn words(&self) -> [u32; 4] {
         self.0
     }

@@ -8,7 +8,7 @@ pub trait Real: Float + std::fmt::Debug + std::ops::AddAssign + Send + Sync + 's
     fn from_f64(value: f64) -> Self;
     /// Converts a count or an index; exact below 2^24.
     fn from_u32(value: u32) -> Self;
-    /// Widens.
+    /// Converts to f64.
     fn to_f64(self) -> f64;
 }
 

@@ -1,4 +1,4 @@
-//! Real spherical harmonics up to degree 4 (16 values): the colour network's view of a direction.
+//! Real spherical harmonics up to degree 4 (16 values): the colour network's encoding of the viewing direction.
 
 use crate::math::scalar::Real;
 

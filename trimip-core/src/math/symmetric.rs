@@ -30,7 +30,7 @@ pub fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) 
     (std::array::from_fn(|i| a[i][i]), vectors)
 }
 
-/// The rotation of the axes `p` and `q` after which a[p][q] is zero.
+/// Rotates the axes `p` and `q` so that a[p][q] becomes zero.
 fn rotate<const N: usize>(a: &mut [[f64; N]; N], vectors: &mut [[f64; N]; N], p: usize, q: usize) {
     let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
     let tangent = theta.signum() / (theta.abs() + theta.hypot(1.0));

@@ -1,5 +1,5 @@
 //! Image metrics on RGB values in [0, 1]: PSNR, and SSIM of Wang et al. 2004 (Gaussian window 11, σ = 1.5, K1 = 0.01,
-//! K2 = 0.03, channels averaged, borders left out as in the original), and the same at five scales.
+//! K2 = 0.03, channels averaged, borders left out as in the original), and MS-SSIM at five scales.
 
 mod ms_ssim;
 mod ssim;
@@ -13,7 +13,7 @@ pub fn psnr(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     psnr_of_error(mean_squared_error(image, target))
 }
 
-/// The same for colours rounded to 8 bits, as in a picture file.
+/// PSNR of colours rounded to 8 bits, as in a picture file.
 pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     let rounded: Vec<[f32; 3]> =
         image.iter().map(|rgb| rgb.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() / 255.0)).collect();
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn rounding_to_8_bits_is_a_picture_files() {
-        // Between two bytes lies half a byte at most, and what is beyond 0 and 1 is their own.
+        // Rounding changes a value by half a byte at most; values outside of [0, 1] are clipped.
         let target = [[0.0, 0.5, 1.0]];
         let image = [[-0.2, 127.6 / 255.0, 1.3]];
         let expected = ((128.0 / 255.0 - 0.5_f64).powi(2) / 3.0).log10() * -10.0;

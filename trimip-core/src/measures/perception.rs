@@ -1,13 +1,13 @@
-//! Measures of what people see of a picture's error: MS-SSIM, LDR-FLIP (Andersson et al. 2020) and LPIPS (Zhang et al. 2018).
-//! They take longer than PSNR and SSIM, so evaluations during training do without them. Libraries compute two of them; this is
-//! the seam.
+//! Perceptual metrics: MS-SSIM, LDR-FLIP (Andersson et al. 2020) and LPIPS (Zhang et al. 2018). They take longer than PSNR and
+//! SSIM, so evaluations during training leave them out. External libraries compute LDR-FLIP and LPIPS; this module is the
+//! interface to them.
 
 use crate::Result;
 
-/// A picture and what it is compared with, colours in [0, 1], row by row.
+/// A rendering and the photograph it is compared with, colours in [0, 1], row by row.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<'a> {
-    /// The rendering. What is not compared has the photograph's colour.
+    /// The rendering. Excluded pixels have the photograph's colour.
     pub rendered: &'a [[f32; 3]],
     /// The photograph.
     pub target: &'a [[f32; 3]],
@@ -19,7 +19,7 @@ pub struct Pair<'a> {
     pub excluded: &'a [bool],
 }
 
-/// What is measured of a pair; NaN is a measure that was not taken.
+/// Measures of a pair; NaN is a measure that was not taken.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PerceptualScores {
     /// Structural similarity at five scales ([`ms_ssim`](crate::measures::metrics::ms_ssim)).
@@ -37,7 +37,7 @@ impl PerceptualScores {
     pub const NOTHING: Self = Self { ms_ssim: f64::NAN, flip: f64::NAN, lpips: f64::NAN, flip_map: None };
 }
 
-/// Takes the measures of perception.
+/// Takes the perceptual measures.
 pub trait Perception {
     /// Measures a pair.
     ///

@@ -30,8 +30,8 @@ fn unknown() -> f64 {
     f64::NAN
 }
 
-/// What is measured of a picture, or means of it over several. PSNR is −10·log10(mean squared error) in dB, on [0, 1] values
-/// that were not rounded. NaN is a value that was not measured.
+/// Measures of a picture, or their means over several pictures. PSNR is −10·log10(mean squared error) in dB, on [0, 1]
+/// values that were not rounded. NaN is a value that was not measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
     /// dB, as the photographs of the set show silhouettes ([`edge_exponents`](crate::scene::edge_exponents)).
@@ -53,8 +53,8 @@ pub struct Measures {
     /// ([`exposed_by_the_other_half`](crate::engine::exposure::exposed_by_the_other_half)).
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_exposed: f64,
-    /// dB, of the photograph's mean colour instead of the rendering: the result of a model that has learned nothing. The
-    /// mean over views is that of the errors.
+    /// dB, of the photograph's mean colour instead of the rendering: the result of a model that has learned nothing. Means
+    /// over views average the squared errors, not the dB.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_constant: f64,
     /// Structural similarity.
@@ -87,7 +87,7 @@ impl Measures {
         lpips: f64::NAN,
     };
 
-    /// The mean of each measure; NaN of none. Those of perception are means over the elements that have them.
+    /// The mean of each measure; NaN without elements. Perceptual measures are averaged over the elements that have them.
     pub fn mean(all: &[Self]) -> Self {
         let mean = |measure: fn(&Self) -> f64| all.iter().map(measure).sum::<f64>() / all.len() as f64;
         let of_some = |measure: fn(&Self) -> f64| {
@@ -109,7 +109,7 @@ impl Measures {
         }
     }
 
-    /// True if a measure of perception was taken.
+    /// True if a perceptual measure was taken.
     pub fn has_perceptual(&self) -> bool {
         [self.ms_ssim, self.flip, self.lpips].iter().any(|value| !value.is_nan())
     }
@@ -146,7 +146,7 @@ impl Measures {
         Ok(())
     }
 
-    /// A warning about a model that is transparent where the photographs are opaque, and what helps.
+    /// A warning about a model that is transparent where the photographs are opaque, with a remedy.
     pub fn remark(&self, remedy: Remedy) -> Option<String> {
         let advice = match remedy {
             Remedy::Opacity => "loss.opacity = 0.1 trains solids that hide any".to_string(),
@@ -164,7 +164,7 @@ impl Measures {
     }
 }
 
-/// What makes a model opaque through which the background shines.
+/// Remedy for a model through which the background shines.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Remedy {
     /// The term `loss.opacity`, which compares with the alpha of the photographs.
@@ -173,12 +173,12 @@ pub enum Remedy {
     /// Photographs of a place with more pixels: with few, opaque rays end in front of the cameras, and the plan leaves
     /// `loss.opacity` out.
     Photographs,
-    /// More of a training that has this weight of `loss.opacity`.
+    /// Longer training, or a weight of `loss.opacity` above this one.
     Training(f32),
 }
 
 impl Remedy {
-    /// What helps a model of this configuration.
+    /// The remedy for a model of this configuration.
     pub fn of(config: &Config) -> Self {
         match (config.scene.contraction, config.loss.opacity) {
             (_, weight) if weight > 0.0 => Self::Training(weight),
@@ -207,7 +207,7 @@ pub struct ScaleQuality {
     pub scale: u32,
     /// Number of images.
     pub images: usize,
-    /// Number of those that `ms_ssim`, `flip` and `lpips` are means of; 0 in files of earlier versions.
+    /// Number of images over which `ms_ssim`, `flip` and `lpips` are averaged; 0 in files of earlier versions.
     #[serde(default, alias = "perceived")]
     pub perceptual_images: usize,
     /// Means over the images.
@@ -257,7 +257,7 @@ mod tests {
                 psnr_exposed: psnr + 3.0,
                 psnr_constant: 12.0,
                 ssim: 0.5,
-                // Of the finest scale two views in three are perceived, and none of the other scale is large enough.
+                // Two of three views of the finest scale have perceptual measures; the other scale is too small for MS-SSIM.
                 ms_ssim: if scale == 1 && index < 2 { 0.01 * psnr } else { f64::NAN },
                 flip: if index < 2 { 0.1 * f64::from(scale) } else { f64::NAN },
                 lpips: f64::NAN,

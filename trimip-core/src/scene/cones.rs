@@ -1,5 +1,5 @@
-//! The number of cones of a pixel. One prefiltered cone shows a pixel about as wide as a texel well: its sphere blurs
-//! along the ray as much as across, and a network of averaged features is not the average of the network. A wider pixel
+//! The number of cones of a pixel. One prefiltered cone suits a pixel about as wide as a texel. Wider spheres blur along the
+//! ray as much as across it, and the network's output for averaged features is not the average of its outputs. A wider pixel
 //! is therefore the mean of several cones.
 
 pub use crate::geometry::cone_pattern::PixelPattern;
@@ -34,7 +34,7 @@ impl Division {
         self.pattern_of(footprint(camera, &self.aabb))
     }
 
-    /// The same for each scale of a training set, fine to coarse, by the median footprint of its views.
+    /// The cones of a pixel at each scale of a training set, fine to coarse, by the median footprint of its views.
     pub fn patterns(&self, views: &ViewSet) -> Vec<PixelPattern> {
         let of = |scale: usize| {
             let width = median_footprint(views, scale, &self.aabb);
@@ -54,15 +54,15 @@ impl Division {
     }
 }
 
-/// World width of a pixel of `camera` in the middle of the box. A camera within the box looks at points a quarter of
-/// its longest side away.
+/// World width of a pixel of `camera` in the middle of the box. The distance is taken as at least a quarter of the box's
+/// longest side, for cameras within the box.
 pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
     let middle = DVec3::from_array(aabb.centre());
     let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
     camera.intrinsics.footprint(distance)
 }
 
-/// Median of [`footprint`] over the views of a scale; `None` if there is none, or if it is not a positive number.
+/// Median of [`footprint`] over the views of a scale; `None` without views, or if the median is not a positive number.
 pub fn median_footprint(views: &ViewSet, scale: usize, aabb: &Aabb<f64>) -> Option<f64> {
     let range = views.scales.get(scale)?.views.clone();
     let mut widths: Vec<f64> = views.views[range].iter().map(|view| footprint(&view.camera, aabb)).collect();
@@ -105,7 +105,7 @@ mod tests {
         assert_eq!(patterns(rule(3, 0.01)), grids([3, 2, 1, 1]));
         assert_eq!(patterns(rule(1, 0.0)), grids([1; 4]));
         assert_eq!(patterns(rule(5, 0.0)), grids([5; 4]));
-        // Twice as far away, a pixel is twice as wide; within the box it is no narrower than at a quarter of its side.
+        // Three times as far away, a pixel is three times as wide; within the box it is no narrower than at a quarter of its side.
         assert_eq!(rule(8, 0.01).pattern(&camera(12.0, 400.0)), PixelPattern::Grid(3));
         assert_eq!(footprint(&camera(0.1, 400.0), &Aabb::new(&Config::default().scene)), 0.75 / 400.0);
     }

@@ -17,7 +17,7 @@ pub struct KnownDepth {
 /// Pixels of a block of [`DepthIndex`].
 const BLOCK: usize = 1024;
 
-/// Finds the known depth of a pixel. A search among all of them would read memory a dozen times for each random pixel.
+/// Index that finds the known depth of a pixel. A binary search would read memory a dozen times for each random pixel.
 #[derive(Clone, Debug, Default)]
 pub struct DepthIndex {
     /// For each block of pixels, the number of known depths before it; then the number of all.
@@ -32,7 +32,7 @@ impl DepthIndex {
         Self { starts: (0..=blocks).map(|block| before(block * BLOCK)).collect() }
     }
 
-    /// The known depth of a pixel among `depths`, those that the index was made of.
+    /// The known depth of a pixel. `depths` are those from which the index was built.
     #[inline]
     pub fn find<'a>(&self, depths: &'a [KnownDepth], pixel: usize) -> Option<&'a KnownDepth> {
         let block = pixel / BLOCK;

@@ -1,7 +1,7 @@
-//! Silhouettes in the public multi-scale sets. Their coarse photographs are means of straight RGBA, so a pixel with colour
-//! P (the mean of colour·α, premultiplied) and opacity A shows about P·A on a background where the mean of the scene shows
-//! P. The edge exponent γ interpolates: C = P·A^γ + (1 − A)·background, 0 where edge pixels are as in the scene, 1 where
-//! colour and alpha of a block are independent. It is fitted to training photographs, one value for each scale.
+//! Silhouettes in the public multi-scale sets. Their coarse photographs are means of straight RGBA. A pixel with colour P
+//! (the mean of colour·α, premultiplied) and opacity A therefore adds about P·A to the background, where the mean of the
+//! scene adds P. The edge exponent γ interpolates: C = P·A^γ + (1 − A)·background. It is 0 if edge pixels are as in the
+//! scene, and 1 if colour and alpha of a block are independent. It is fitted to training photographs, one value per scale.
 
 use crate::math::scalar::Real;
 use crate::{Alpha, ViewSet};
@@ -15,7 +15,7 @@ const FITTED_VIEWS: usize = 16;
 /// Candidates for an exponent in [0, 1] before the best one is refined.
 const CANDIDATES: usize = 65;
 
-/// The colour that a photograph of the set shows of a pixel: `rgb` is P + (1 − A)·background.
+/// The colour that a photograph of the set shows for a pixel whose composited colour is `rgb` = P + (1 − A)·background.
 #[inline]
 pub fn shown<R: Real>(rgb: [R; 3], opacity: R, background: [R; 3], exponent: R) -> [R; 3] {
     if exponent == R::zero() {
@@ -55,9 +55,9 @@ pub fn shown_gradient<R: Real>(
     [r * factor, g * factor, b * factor, by_opacity]
 }
 
-/// The edge exponent of each scale of `views`, fine to coarse: the least squares of P·A^γ, from the finest photographs,
-/// against the colour·α of the coarser ones, over partly transparent pixels. `None` if colours are not straight, if there is
-/// one scale, or if frames differ between scales.
+/// Fits the edge exponent of each scale of `views`, fine to coarse: by least squares, P·A^γ of the finest photographs to the
+/// colour·α of the coarser ones, over partly transparent pixels. `None` if alpha is not straight, if there is one scale, or
+/// if the scales have different numbers of views.
 pub fn fit(views: &ViewSet) -> Option<Vec<f64>> {
     let finest = views.scales.first()?;
     let whole = |scale: &crate::Scale| scale.views.len() == finest.views.len();
@@ -154,7 +154,7 @@ mod tests {
         let near = |a: [f64; 3], b: [f64; 3]| (0..3).all(|c| (a[c] - b[c]).abs() < 1e-12);
         assert!(near(shown(rgb, 1.0, background, 0.5), rgb));
         assert!(near(shown(background, 0.0, background, 0.5), background));
-        // Half of (0.4, 0, 0.8) on white, by hand: half the colour again at exponent 1.
+        // Half of (0.4, 0, 0.8) on white, calculated by hand: exponent 1 halves the colour again.
         assert!(near(shown([0.7, 0.5, 0.9], 0.5, background, 1.0), [0.6, 0.5, 0.7]));
     }
 

@@ -1,5 +1,5 @@
-//! A fingerprint of training views: their number, their cameras and their pixels, all as the run uses them. A run that
-//! is resumed on other views would end as neither run.
+//! Fingerprint of training views: their number, cameras and pixels, as the run uses them. The result of a run resumed on
+//! other views would belong to neither data set.
 
 use crate::ViewSet;
 use serde::{Deserialize, Serialize};
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 /// Odd multiplier of the hash, 2^64 divided by the golden ratio (Knuth, The Art of Computer Programming 3, 6.4).
 const MULTIPLIER: u64 = 0x9e37_79b9_7f4a_7c15;
 
-/// Independent sums of a hash: multiplications of one sum wait for each other.
+/// Number of independent sums of a hash: the multiplications of a single sum would wait for each other.
 const LANES: usize = 8;
 
 /// Fingerprint of training views at all scales.
@@ -29,7 +29,7 @@ impl Fingerprint {
         Self { views: set.views.len(), cameras: hash(&cameras), pixels: hash(set.pixels.as_flattened()) }
     }
 
-    /// What differs from `other`, in words; `None` if nothing does.
+    /// Describes what differs from `other`; `None` if nothing does.
     pub fn difference(&self, other: &Self) -> Option<String> {
         if self.views != other.views {
             return Some(format!("{} training views, was {}", self.views, other.views));
@@ -41,7 +41,7 @@ impl Fingerprint {
     }
 }
 
-/// Hash of bytes, the same on every machine. It tells accidents apart, not attacks.
+/// Hash of bytes, identical on every machine. It detects accidental changes, not attacks.
 pub fn hash(bytes: &[u8]) -> u64 {
     let mix = |sum: u64, word: u64| (sum ^ word).wrapping_mul(MULTIPLIER).rotate_left(29);
     let (words, rest) = bytes.as_chunks::<8>();
@@ -56,8 +56,8 @@ pub fn hash(bytes: &[u8]) -> u64 {
     sums.into_iter().chain(tail).fold(0, mix)
 }
 
-/// Hash of several parts, the same on every machine: that of the [hashes](hash) of all parts, so that it also tells where one
-/// ends.
+/// Hash of several parts, identical on every machine: the hash of the [hashes](hash) of all parts, so that it also depends
+/// on where each part ends.
 pub fn hash_of<P: AsRef<[u8]>>(parts: impl IntoIterator<Item = P>) -> u64 {
     let hashes: Vec<u8> = parts.into_iter().flat_map(|part| hash(part.as_ref()).to_le_bytes()).collect();
     hash(&hashes)

@@ -54,8 +54,8 @@ impl Frame {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }
 
-    /// The same picture as the photographs of a set with an edge exponent show it, see [`edge_exponents`]. It was
-    /// rendered on `background`.
+    /// This picture, rendered on `background`, as the photographs of a set with an edge exponent show it, see
+    /// [`edge_exponents`].
     pub fn shown(mut self, background: [f32; 3], exponent: f32) -> Self {
         for pixel in &mut self.pixels {
             pixel.rgb = edge_exponents::shown(pixel.rgb, pixel.opacity, background, exponent);
@@ -63,7 +63,7 @@ impl Frame {
         self
     }
 
-    /// The same picture on the background `to` instead of `from`, on which it was rendered.
+    /// This picture, rendered on the background `from`, on the background `to`.
     pub fn moved(&self, from: [f32; 3], to: [f32; 3]) -> Self {
         let moved = |pixel: &Pixel| {
             let clear = 1.0 - pixel.opacity;

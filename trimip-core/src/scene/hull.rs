@@ -1,5 +1,5 @@
-//! The occupancy grid of a scene whose photographs have silhouettes: cells outside of their visual hull are never occupied.
-//! Floaters have no place there, and no sample is spent on it.
+//! The occupancy grid of a scene whose photographs have silhouettes: cells outside of the visual hull are never occupied.
+//! No floaters can form there, and no samples are spent there.
 
 use crate::geometry::occupancy::OUTSIDE;
 use crate::{Aabb, Config, ViewSet, math::bits, scene::silhouettes};
@@ -34,7 +34,7 @@ mod tests {
         ball_through(Intrinsics::from_angle(128, 128, 0.7))
     }
 
-    /// The same, by another camera.
+    /// Silhouettes of that ball by cameras with intrinsics `k`.
     fn ball_through(k: Intrinsics) -> ViewSet {
         let (mut views, mut pixels) = (Vec::new(), Vec::new());
         for i in 0..40 {
@@ -109,7 +109,7 @@ mod tests {
         let before = count(&views).unwrap();
         let start = views.views[7].offset;
         views.pixels[start..start + 128 * 128].iter_mut().for_each(|pixel| pixel[3] = 0);
-        // Cells that another view alone shows to be empty now have two votes; no more are lost.
+        // The wrong mask is a vote for every cell it sees: only cells that one other view shows to be empty are lost.
         let after = count(&views).unwrap();
         assert!(after > before / 2, "{after} of {before}");
         views.pixels.iter_mut().for_each(|pixel| pixel[3] = 255);

@@ -1,6 +1,6 @@
-//! What points that several photographs saw tell about space: rays end near them, and pass through free space on the way. A run
-//! that begins near the points alone cannot explain photographs by copies of the scene in front of their cameras (INGeo, arXiv
-//! 2212.01959, starts from known geometry in the same way).
+//! Occupied and free space, from points that several photographs saw: rays end near these points, and pass through free space
+//! on the way. A run that starts with the cells near points alone cannot explain photographs by copies of the scene in front
+//! of their cameras (INGeo, arXiv 2212.01959, starts from known geometry in the same way).
 
 use crate::geometry::occupancy::cell_of;
 use crate::geometry::space::RayParameter;
@@ -8,39 +8,39 @@ use crate::{Config, Space, View, ViewSet, math::bits};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Cells around that of a point, in each direction, that are near it at first: half of a small object has no points.
+/// Number of cells in each direction around a point's cell that are near it at first: half of a small object has no points.
 const NEAR: u8 = 2;
 
-/// How often [`NEAR`] doubles before a run leaves the points: walls have points at their edges alone.
+/// How often [`NEAR`] doubles before cells far from points may be occupied: walls have points at their edges alone.
 const DOUBLINGS: u8 = 3;
 
-/// Cells around that of a point, in each direction, that are not free.
+/// Number of cells in each direction around a point's cell that are never free.
 const AROUND: usize = 1;
 
-/// Fewest rays that end in a cell with a point: one wrong match tells nothing.
+/// Fewest rays that must end in a cell for it to have a point: a single match may be wrong.
 const LEAST_ENDS: u16 = 2;
 
-/// Fewest photographs that look through a cell which is empty while a run is near the points, and through a free cell. Wrong matches
-/// lie behind surfaces, and the few photographs of one seem to look through the surface: of the cells of *bonsai* that three
-/// photographs look through, 0.4 % hold a surface; of those that sixteen do, 0.06 %.
+/// Fewest photographs that must look through a cell for it to be empty under [`Confinement::Near`], and to be free. Wrong matches
+/// lie behind surfaces, and their few photographs seem to look through the surface: of the cells of *bonsai* that three
+/// photographs look through, 0.4 % hold a surface; of those that sixteen look through, 0.06 %.
 const LEAST_VIEWS: [u16; 2] = [3, 16];
 
-/// Fraction of the distance of a view's nearest point within which nothing stands around its camera. No ray tells of the space
-/// beside a camera, where the next one may be.
+/// Radius of the free ball around a camera, as a fraction of the distance to its nearest point. No ray of the camera passes
+/// the space beside it, where the next camera may be.
 const CLOSE: f64 = 0.2;
 
-/// Deviations before its end at which a ray is certain to be in free space.
+/// A ray is certainly in free space until this many standard deviations before its end.
 const CERTAIN: f64 = 3.0;
 
-/// Which cells of the occupancy grid can be occupied. A run goes through these in order and never back.
+/// Which cells of the occupancy grid can be occupied. A run goes through the variants in order and never back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Confinement {
-    /// Cells near points, through which few photographs look: along each axis, a point lies at most this many cells away.
+    /// Cells that have a point at most this many cells away along each axis, and that few photographs look through.
     Near(u8),
-    /// All but the free ones, through which many photographs look.
+    /// All cells but the free ones, which many photographs look through.
     NotFree,
-    /// All.
+    /// All cells.
     #[default]
     None,
 }
@@ -60,19 +60,19 @@ impl Confinement {
     }
 }
 
-/// The cells near points, and those that are free.
+/// The cells near points, and the free cells.
 #[derive(Debug)]
 pub struct KnownSpace {
     /// For each cell, the least reach at which it is near a point: [`NEAR`], one of its doublings, or [`u8::MAX`].
     reach: Vec<u8>,
-    /// One bit per cell: those that some photographs look through, and those that many do.
+    /// Bits of the cells that some photographs look through (`passed`) and that many do (`free`), see [`LEAST_VIEWS`].
     passed: Vec<u8>,
     free: Vec<u8>,
 }
 
 impl KnownSpace {
-    /// Of the rays of known depth in the finest scale of `views`, which are in world coordinates. `None` if no run of this
-    /// configuration is confined, or if no cell is near a point.
+    /// Known space of the rays of known depth in the finest scale of `views`, which are in world coordinates. `None` if this
+    /// configuration confines no run, or if no cell is near a point.
     pub fn of(config: &Config, views: &ViewSet) -> Option<Self> {
         let finest = views.scales.first()?;
         if Confinement::at(config, 0.0) == Confinement::None {
@@ -160,8 +160,8 @@ impl Rays {
         }
     }
 
-    /// Makes the cells free whose centres lie within `radius` of a camera, world units. Contraction makes no distance longer, so
-    /// they lie within as much of its place in the cube.
+    /// Marks as free the cells whose centres lie within `radius` of a camera, world units. Contraction lengthens no distance, so
+    /// these cells also lie within `radius` of the camera in contracted space.
     fn add_around(&mut self, origin: DVec3, radius: f64) {
         let (side, extent) = (f64::from(self.side), self.space.aabb().extent());
         let place = self.space.to_cube(origin.to_array());
@@ -230,7 +230,7 @@ mod tests {
         many_views(4, depths)
     }
 
-    /// Views, in turn from (4, 0, 0) and (−4, 0, 0), to the origin, whose pixels of `depths` are known: view, column, row and
+    /// Views of the origin, alternately from (4, 0, 0) and (−4, 0, 0). `depths` are their known pixels: view, column, row and
     /// distance.
     fn many_views(count: usize, depths: &[(usize, usize, usize, f32)]) -> ViewSet {
         let k = Intrinsics::from_angle(32, 32, 0.7);

@@ -1,7 +1,7 @@
-//! What photographs show: their pixels ([`pixels`]) in views of several scales ([`views`]), rendered pictures ([`frame`]), how many
-//! cones a pixel has ([`cones`]), which distances are known ([`depths`]) and what they tell about space ([`known_space`]),
-//! silhouettes and the visual hull. Scenes far from the origin of their coordinates have one of their own ([`origin`]). Fingerprints
-//! tell two data sets apart.
+//! Photographs and what they show: pixels ([`pixels`]) in views of several scales ([`views`]), rendered pictures ([`frame`]), the
+//! cones of a pixel ([`cones`]), known distances ([`depths`]) and the space known from them ([`known_space`]), silhouettes and
+//! the visual hull. A scene far from the origin of its coordinates has a local origin ([`origin`]). Fingerprints distinguish
+//! data sets.
 
 pub mod cones;
 pub mod depths;

@@ -1,4 +1,4 @@
-//! Where the program's coordinates begin. Poses in map or earth-centred coordinates lie up to 6e6 units from their origin, and f32
+//! Origin of the program's coordinates. Poses in map or earth-centred coordinates lie up to 6e6 units from their origin, and f32
 //! has steps of half a unit there. Such scenes have a [`LocalOrigin`]: it is subtracted in f64 from everything that the data and the
 //! user state, before anything becomes f32, and added again to everything that is written in the coordinates of the data.
 
@@ -7,35 +7,36 @@ use crate::config::{Crop, PhotographsConfig};
 use crate::{Aabb, Camera};
 use glam::DVec3;
 
-/// A scene is far from its origin where this many times the extent of its cameras lies between them. At that distance an f32 is wrong
-/// by up to 3e-5 of the extent, a thirtieth of what a pixel of a photograph 1,000 pixels wide sees of it.
+/// A scene is far from its origin if their distance exceeds this many times the extent of its cameras. At that distance, f32
+/// rounds by up to 3e-5 of the extent: a thirtieth of the width that a pixel of a photograph 1,000 pixels wide sees.
 const FAR: f64 = 1e3;
 
-/// A place of the data's coordinates from which the program's count: `local = stated - origin`.
+/// Origin of the program's coordinates, in the coordinates of the data: `local = stated - origin`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalOrigin(DVec3);
 
-/// What has a place in the world.
+/// Something that has a place in the world.
 pub trait Placed {
-    /// The same, moved.
+    /// Returns it moved by a vector.
     #[must_use]
     fn moved(self, by: DVec3) -> Self;
 }
 
 impl LocalOrigin {
-    /// That of a configuration (`data.origin`); an empty list is zero.
+    /// The origin of a configuration (`data.origin`); an empty list is zero.
     pub fn of(data: &PhotographsConfig) -> Self {
         Self::at(&data.origin)
     }
 
-    /// The origin of three numbers; of none it is zero.
+    /// The origin at three numbers; zero for an empty list.
     pub fn at(numbers: &[f64]) -> Self {
         <[f64; 3]>::try_from(numbers).map_or_else(|_| Self::default(), |numbers| Self(numbers.into()))
     }
 
-    /// Zero, unless the cameras are far from their origin: `distance > 1000 · extent`, where `extent` is the diagonal of the box around
-    /// all cameras but [strays](without_strays), and `distance` that of its middle from zero. Then it is this middle, in whole
-    /// units; where the extent is below one unit, in multiples of the power of ten below it. So its decimal digits are exact.
+    /// Chooses the origin for these cameras. It is zero, unless they are far from zero: `distance > 1000 · extent`, where `extent` is
+    /// the diagonal of the box around all cameras but [strays](without_strays), and `distance` that of the box's middle from zero. For
+    /// far cameras it is this middle, rounded to whole units, or to the power of ten below the extent if that is below one unit. So
+    /// its decimal digits are exact.
     pub fn chosen(cameras: &[Camera]) -> Self {
         let near = without_strays(cameras);
         let places = near.iter().map(|camera| camera.origin);
@@ -60,17 +61,17 @@ impl LocalOrigin {
         self.0 == DVec3::ZERO
     }
 
-    /// What is to be added to local coordinates.
+    /// The vector to add to local coordinates.
     pub fn numbers(self) -> [f64; 3] {
         self.0.to_array()
     }
 
-    /// The local form of what the data or the user state.
+    /// Converts a place that the data or the user state to local coordinates.
     pub fn local<T: Placed>(self, stated: T) -> T {
         if self.is_zero() { stated } else { stated.moved(-self.0) }
     }
 
-    /// The same in the coordinates of the data.
+    /// Converts a local place to the coordinates of the data.
     pub fn stated<T: Placed>(self, local: T) -> T {
         if self.is_zero() { local } else { local.moved(self.0) }
     }
@@ -159,7 +160,7 @@ mod tests {
         let apart = DVec3::from(usual.numbers()) - DVec3::from(with_stray.numbers());
         assert!(!usual.is_zero() && apart.length() < 2.0, "{usual} {with_stray}");
         assert!(LocalOrigin::chosen(&cameras[..1]).is_zero() && LocalOrigin::chosen(&[]).is_zero());
-        // A near scene stays where it is, however far one camera is said to be.
+        // A near scene keeps its coordinates, however far away one camera lies.
         let mut near = ring(DVec3::ZERO, 2.8);
         near[5].origin = far;
         assert!(LocalOrigin::chosen(&near).is_zero());

@@ -1,10 +1,10 @@
-//! The pixels of a set of photographs: RGBA, 8 bits each, in memory or wherever else a slice of them can be had, such as a
-//! file that the system pages in.
+//! The pixels of a set of photographs: RGBA, 8 bits each, in memory or in other storage that provides a slice, such as a file
+//! that the system pages in.
 
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-/// What holds pixels outside of this process's own memory.
+/// Storage of pixels other than a vector, such as a memory map.
 pub trait Holder: AsRef<[[u8; 4]]> + Send + Sync {}
 
 impl<T: AsRef<[[u8; 4]]> + Send + Sync> Holder for T {}
@@ -16,7 +16,7 @@ pub struct Pixels(Storage);
 #[derive(Clone)]
 enum Storage {
     Memory(Vec<[u8; 4]>),
-    /// In memory of `holder`'s own, or in none.
+    /// In `holder`, which takes memory of this process if `in_memory`.
     Elsewhere {
         holder: Arc<dyn Holder>,
         in_memory: bool,
@@ -24,17 +24,17 @@ enum Storage {
 }
 
 impl Pixels {
-    /// Pixels that `holder` holds, whose bytes are not this process's memory.
+    /// Pixels in `holder`, which take no memory of this process.
     pub fn elsewhere(holder: impl Holder + 'static) -> Self {
         Self(Storage::Elsewhere { holder: Arc::new(holder), in_memory: false })
     }
 
-    /// Pixels in memory of this process that `holder` has reserved by itself.
+    /// Pixels in memory of this process that `holder` has reserved.
     pub fn in_memory_of(holder: impl Holder + 'static) -> Self {
         Self(Storage::Elsewhere { holder: Arc::new(holder), in_memory: true })
     }
 
-    /// Bytes of this process's memory.
+    /// Bytes of this process's memory that the pixels take.
     pub fn bytes_in_memory(&self) -> usize {
         match &self.0 {
             Storage::Memory(pixels) => size_of_val(pixels.as_slice()),

@@ -1,17 +1,18 @@
-//! Plain backgrounds: photographs of an object before one colour, which have no alpha.
+//! Plain backgrounds: photographs without alpha that show an object in front of a single colour.
 
 use crate::ViewSet;
 
-/// Largest distance of a channel from the colour, of 255: noise and compression of a photograph.
+/// Largest difference of a channel from the background colour, of 255: allows for noise and compression.
 const NEAR: u8 = 6;
 
-/// Smallest share of the pixels of all borders that have the colour: an object may reach the border of some photographs.
+/// Smallest share of all border pixels that have the colour: an object may reach the border of some photographs.
 const MOST: f64 = 0.95;
 
 /// Smallest share of all pixels that have another colour: the object.
 const LEAST_OBJECT: f64 = 0.005;
 
-/// The colour of the borders of all photographs before which something stands, in [0, 1]; `None` if they have several, or alpha.
+/// The colour that the borders of all photographs share, in [0, 1]; `None` if the borders have several colours or alpha, or if
+/// nothing stands out from the colour.
 pub fn colour(views: &ViewSet) -> Option<[f32; 3]> {
     let [finest, coarsest] = [views.scales.first()?, views.scales.last()?];
     let mut borders = Vec::new();

@@ -7,7 +7,7 @@ use crate::scene::strays::strays;
 use crate::{Aabb, Camera, Scale, ViewSet};
 use glam::DVec3;
 
-/// Cells along each side of the first pass, over the whole box, and of the second, over what the first left.
+/// Cells along each side of the first pass, over the whole box, and of the second, over the bounds that the first found.
 const CELLS: [usize; 2] = [48, 96];
 
 /// Largest number of silhouettes used: fewer only give a larger hull.
@@ -19,7 +19,7 @@ const VOTES: usize = 2;
 /// Smallest width or height in pixels of a scale that is used, if there is a finer one.
 const FINE_ENOUGH: u32 = 128;
 
-/// The silhouette of a view: sums of pixels with any opacity over every rectangle from the upper left corner.
+/// The silhouette of a view: a summed-area table of the pixels with any opacity.
 struct Silhouette {
     camera: Camera,
     /// `None` for a photograph without transparent pixels: it carves nothing.
@@ -92,13 +92,14 @@ pub fn any(views: &ViewSet) -> bool {
     views.alpha.is_opacity() && views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
 }
 
-/// Bounds of what the photographs may show within `aabb`, of places that at least `fraction` of them see (0: any one): never
-/// less than the object there. `None` where no photograph has a silhouette, or where they leave nothing.
+/// Bounds of the places within `aabb` that may hold the object and that at least `fraction` of the photographs see (0: any one).
+/// They leave out no part of the object there. `None` if no photograph has a silhouette, or if the silhouettes leave nothing.
 pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64) -> Option<Aabb<f64>> {
     bounds_despite(views, aabb, fraction, 0.0)
 }
 
-/// As [`bounds`], where a share `wrong` of the silhouettes may show background: a few wrong poses or masks carve nothing.
+/// Like [`bounds`], but up to a share `wrong` of the silhouettes may show background at a place, so that a few wrong poses or
+/// masks carve nothing.
 pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64, wrong: f64) -> Option<Aabb<f64>> {
     let silhouettes = silhouettes(views)?;
     let of = |fraction: f64| fraction * silhouettes.len() as f64;
@@ -106,7 +107,7 @@ pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64, wrong: f
     CELLS.iter().try_fold(*aabb, |aabb, &cells| hull(&silhouettes, &aabb, cells, rule))
 }
 
-/// When a place is kept.
+/// Condition under which a place is kept.
 #[derive(Clone, Copy)]
 struct Rule {
     /// Fewest views that see it.
@@ -133,8 +134,8 @@ pub fn cells(views: &ViewSet, aabb: &Aabb<f64>, resolution: u32) -> Option<Vec<b
     Some((0..resolution.pow(3)).map(may).collect())
 }
 
-/// The silhouettes of some of the photographs, at a scale that is fine enough; those without any last. `None` if there is
-/// none.
+/// The views of the coarsest scale that is fine enough, at most [`MOST_VIEWS`] of them with silhouettes; views without one come
+/// last. `None` if no view has a silhouette.
 fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
     if !views.alpha.is_opacity() {
         return None;
@@ -249,7 +250,7 @@ mod tests {
         }
     }
 
-    /// A place that only an opaque photograph sees, a close-up say, is somebody's subject.
+    /// A place that only an opaque photograph sees, such as a close-up, may hold a subject.
     #[test]
     fn what_an_opaque_photograph_sees_stays() {
         let whole = Aabb { min: [-1.5; 3], max: [1.5; 3] };

@@ -1,20 +1,20 @@
-//! Stray cameras: those that stand far from all others, and lost ones, whose poses are failures of a solver.
+//! Stray cameras, which are far from all others, and lost cameras, whose poses are failures of a solver.
 
 use crate::Camera;
 use glam::DVec3;
 
-/// A camera that is this many times as far from the middle of all cameras as half of them are is a stray one: its pose is wrong, or it
-/// belongs to another place.
+/// A camera is a stray if its distance from the middle of all cameras is more than this many times the median distance: its pose
+/// is wrong, or it belongs to another place.
 pub const STRAY: f64 = 30.0;
 
-/// A camera that is this many times as far is lost. No capture spans such distances, so the solver failed to find its pose.
+/// A camera is lost beyond this multiple of the median distance. No capture spans so much, so the solver failed to find its pose.
 pub const LOST: f64 = 1000.0;
 
-/// Largest shares of stray and of lost cameras: of more, the middle means nothing.
+/// Largest shares of stray and of lost cameras: with more of them, the middle is meaningless.
 const MOST_STRAYS: f64 = 0.1;
 const MOST_LOST: f64 = 0.25;
 
-/// Cameras that stand far from all others, in their order: how many times as far from the middle of all as half of them.
+/// Stray cameras in their order: index, and distance from the middle of all cameras in multiples of the median distance.
 pub fn strays(cameras: &[Camera]) -> Vec<(usize, f64)> {
     farther(cameras, STRAY, MOST_STRAYS)
 }
@@ -24,8 +24,8 @@ pub fn lost(cameras: &[Camera]) -> Vec<usize> {
     farther(cameras, LOST, MOST_LOST).into_iter().map(|(index, _)| index).collect()
 }
 
-/// Cameras that are more than `least` times as far from the middle of all as half of them, with these times; none if they are more than
-/// the share `most` of all.
+/// Cameras whose distance from the middle of all cameras exceeds `least` times the median distance, with that multiple; empty if
+/// they are more than the share `most` of all cameras.
 fn farther(cameras: &[Camera], least: f64, most: f64) -> Vec<(usize, f64)> {
     let median = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -41,7 +41,7 @@ fn farther(cameras: &[Camera], least: f64, most: f64) -> Vec<(usize, f64)> {
     if far.len() as f64 > most * cameras.len() as f64 { Vec::new() } else { far }
 }
 
-/// The cameras that are no strays, in their order.
+/// The cameras that are not strays, in their order.
 pub fn without_strays(cameras: &[Camera]) -> Vec<Camera> {
     let strays = strays(cameras);
     let is_near = |(index, _): &(usize, &Camera)| strays.iter().all(|(stray, _)| stray != index);
@@ -76,7 +76,7 @@ mod tests {
         assert_eq!(lost(&cameras), [7]);
         cameras[7].origin = DVec3::new(0.0, 500.0, 0.0);
         assert!(strays(&cameras).len() == 1 && lost(&cameras).is_empty());
-        // So many lost ones are no strays of the others.
+        // With so many lost cameras, none counts as a stray.
         cameras[..10].iter_mut().for_each(|camera| camera.origin *= 1e12);
         assert!(strays(&cameras).is_empty() && lost(&cameras) == Vec::from_iter(0..10));
         cameras[10].origin *= 1e12;

@@ -1,4 +1,5 @@
-//! Photographs for training and evaluation: 8-bit RGBA pixels in one flat array, divided into views, grouped by scale. Scale j holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
+//! Photographs for training and evaluation: 8-bit RGBA pixels in one flat array, divided into views, grouped by scale. Scale j
+//! holds images reduced by 2^j; the area weight of its pixels is 4^j (the paper's area loss).
 
 use super::depths::KnownDepth;
 use crate::{Camera, Pixels, Result, config::Convention};
@@ -28,7 +29,7 @@ pub struct Scale {
     pub pixels: Range<usize>,
 }
 
-/// What alpha is, and how colour relates to it in stored pixels.
+/// Meaning of alpha in stored pixels, and how colour relates to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alpha {
     /// Opacity; colour of the surface alone (PNG's own convention).
@@ -39,11 +40,11 @@ pub enum Alpha {
     Kept,
 }
 
-/// Least alpha of a pixel that is compared, where alpha is the share that counts: half of the pixel.
+/// Least alpha of a pixel that is compared if alpha is [`Alpha::Kept`]: half of the pixel.
 const COMPARED: u8 = 128;
 
 impl Alpha {
-    /// True if alpha tells where the object is, and where the background.
+    /// True if alpha separates the object from the background.
     pub fn is_opacity(self) -> bool {
         self != Self::Kept
     }
@@ -60,7 +61,7 @@ impl Alpha {
         if self.is_opacity() { 1.0 } else { f32::from(pixel[3]) / 255.0 }
     }
 
-    /// True for a pixel that measures of pictures leave out: less than half of it counts.
+    /// True for a pixel that image metrics leave out: less than half of it counts.
     #[inline]
     pub fn leaves_out(self, pixel: [u8; 4]) -> bool {
         !self.is_opacity() && pixel[3] < COMPARED
@@ -87,7 +88,7 @@ pub struct ViewSet {
     pub alpha: Alpha,
     /// Scales from fine to coarse.
     pub scales: Vec<Scale>,
-    /// Pixels whose distance is known, sorted by pixel; none without points that several photographs saw.
+    /// Pixels whose distance is known, sorted by pixel; empty without tracked points or depth images.
     pub depths: Vec<KnownDepth>,
 }
 
@@ -109,8 +110,8 @@ impl ViewSet {
         self.pixels_of(index).iter().map(|&pixel| composite_pixel(pixel, self.alpha, background)).collect()
     }
 
-    /// Means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not rounded; of
-    /// [`Alpha::Kept`] the mean colour of the kept part and 1. Rows and columns that do not fill a block are cropped.
+    /// Means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not rounded. For
+    /// [`Alpha::Kept`], the mean colour of the kept part and 1. Rows and columns that do not fill a block are cropped.
     pub fn means(&self, index: usize, factor: u32) -> Vec<[f64; 4]> {
         let k = &self.views[index].camera.intrinsics;
         let (width, factor) = (k.width as usize, factor as usize);
@@ -176,9 +177,9 @@ pub trait Frames: Send + Sync {
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
-    /// The name of each frame, which its views have too; no photograph is decoded.
+    /// Names of the frames, which their views have too; decodes no photograph.
     fn names(&self) -> Vec<String>;
-    /// Cameras of all frames at every scale; no photograph is decoded.
+    /// Cameras of all frames at every scale; decodes no photograph.
     fn cameras(&self) -> Vec<Camera>;
     /// Frame `index` at every scale: a set of one view per scale, fine to coarse.
     fn load(&self, index: usize) -> Result<ViewSet>;

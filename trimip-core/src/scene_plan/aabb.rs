@@ -95,8 +95,8 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// The box of contracted space for photographs that show their surroundings, unless `scene.contraction` is given as none;
-/// `None` where space is bounded.
+/// The box of contracted space for photographs that show their surroundings, unless the user sets `scene.contraction` to
+/// "none". `None` if space is bounded.
 fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     let Context { now, configured, facts, .. } = *context;
     let boxed = ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| context.given(path));
@@ -143,8 +143,8 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     })
 }
 
-/// Centre and radius of the ball that keeps its shape, and what the centre is: what the cameras look at, the middle of what they face
-/// along one direction, or their midst if they look at no common place.
+/// Centre and radius of the ball that keeps its shape, and a description of the centre: the middle of what the cameras see if all
+/// look along one direction, the point that they look at, or the mean of their places if they look at no common point.
 fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f64, &'static str)> {
     if let Some((centre, radius)) = facing.and_then(Facing::ball) {
         return Some((
@@ -166,12 +166,12 @@ fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f6
     }
 }
 
-/// Distance from a camera to what it looks at; where rays are parallel, the width of what it sees.
+/// Distance from a camera to its subject; the width of the camera's picture if its rays are parallel.
 fn distance(camera: &Camera, subject: DVec3) -> f64 {
     camera.intrinsics.scale((camera.origin - subject).length())
 }
 
-/// The settings with another box, and planes of square texels of the same width.
+/// The settings with another box, and with planes of square texels that keep their configured width.
 fn sized(context: &Context<'_>, aabb: &Aabb<f64>) -> Config {
     let mut config = context.now.clone();
     (config.scene.aabb_min, config.scene.aabb_max) = (aabb.min.map(|x| x as f32), aabb.max.map(|x| x as f32));
@@ -181,12 +181,13 @@ fn sized(context: &Context<'_>, aabb: &Aabb<f64>) -> Config {
     config
 }
 
-/// The box that the data state, if it is one: exporters write Instant-NGP's cube whatever the scene is, and silhouettes know better.
+/// The box that the data state. Instant-NGP's cube counts only without silhouettes, which bound the scene better: exporters write
+/// the cube for any scene.
 fn stated<'a>(facts: &Facts<'a>) -> Option<&'a StatedBox> {
     facts.stated.filter(|stated| stated.around_points || !silhouettes::any(facts.train))
 }
 
-/// The box that the data state, otherwise one around the cameras' common focus; the cube of a scene whose cameras have none.
+/// The box that the data state, otherwise one around the cameras' common focus, otherwise the stated cube.
 fn start(facts: &Facts<'_>) -> Option<Start> {
     let of = |stated: &StatedBox| Start { aabb: stated.aabb, source: stated.source.clone() };
     stated(facts).map(of).or_else(|| around_focus(facts)).or_else(|| facts.stated.map(of))
@@ -228,7 +229,7 @@ fn within(aabb: &Aabb<f64>, whole: &Aabb<f64>) -> Aabb<f64> {
     }
 }
 
-/// The f64 with the fewest digits that is this f32.
+/// The f64 with the fewest digits that rounds to this f32.
 fn shortest(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| value.into())
 }

@@ -12,7 +12,7 @@ const CELLS: usize = 40;
 /// Largest number of cameras used, evenly spread.
 pub(super) const MOST_CAMERAS: usize = 128;
 
-/// Share of the cameras that see the subject.
+/// Share of the cameras that must see a place of the subject.
 pub(super) const COMMON: f64 = 0.5;
 
 /// Cameras count as parallel if the smallest eigenvalue of the mean of I − d·dᵀ over the viewing directions d is below
@@ -28,8 +28,7 @@ pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     near.into_iter().step_by(stride).collect()
 }
 
-/// The point nearest to all optical axes, by least squares; `None` if they are parallel. The axes of panoramas and of stray cameras say
-/// nothing.
+/// The point nearest to all optical axes, by least squares; `None` if they are parallel. Panoramas and stray cameras are left out.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;
@@ -46,10 +45,10 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     (mean.determinant() > PARALLEL * 0.5).then(|| matrix.inverse() * right).filter(|focus| focus.is_finite())
 }
 
-/// Cameras nearer to each other than this share of their distance to the origin of the data's coordinates stand at one place.
+/// Cameras nearer to each other than this share of their distance to the origin of the data's coordinates count as at one place.
 const ONE_PLACE: f64 = 1e-9;
 
-/// True for several cameras, local to `origin`, that look around from one place: nothing they see has a depth.
+/// True for several cameras, in coordinates local to `origin`, that look around from one place: they show no depth.
 pub(super) fn at_one_place(cameras: &[Camera], origin: LocalOrigin) -> bool {
     let Some((first, others)) = cameras.split_first() else { return false };
     let near = ONE_PLACE * origin.stated(first.origin).length().max(f64::MIN_POSITIVE);

@@ -1,13 +1,13 @@
-//! How wide a cone is: about as a pixel of the finest photographs. Wider pixels, of coarser photographs or of cameras farther
-//! away, are the mean of several.
+//! The width of a cone: about that of a pixel of the finest photographs. Wider pixels, of coarser photographs or more distant
+//! cameras, are the mean of several cones.
 
 use super::decision::{Context, Proposal};
 use super::fineness;
 use crate::Aabb;
 use toml::Value;
 
-/// Width of a cone in pixel footprints: pixels of half the photographs' width are four cones, those of three quarters are
-/// one.
+/// Width of a cone in pixel footprints. In photographs reduced to half their width a pixel is four cones, at three quarters it
+/// is one.
 const WIDTH: f64 = 1.25;
 
 /// Most cones along a side of a pixel: with four, a view at 1/8 costs a quarter of one at 1/1.

@@ -1,4 +1,4 @@
-//! The crop of a place: the ball around what the cameras look at that fills their pictures.
+//! The crop in contracted space: the ball around what the cameras look at that fills their pictures.
 
 use super::common_view::{COMMON, cameras, focus, is_ahead};
 use super::decision::{Context, Proposal};
@@ -10,7 +10,7 @@ use crate::{Camera, Cone};
 use glam::DVec3;
 use toml::Value;
 
-/// Places along each side of a picture whose rays bound what the camera sees.
+/// Number of steps along each side of a picture; the ray at each of them bounds what the camera sees.
 const BORDER: u32 = 16;
 
 pub(super) fn decide(context: &Context<'_>) -> Proposal {
@@ -32,8 +32,8 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// What the cameras look at, and the radius of the largest ball around it that is no larger than the pictures of [`COMMON`] of
-/// them; `None` if they look at no common place, or see none of it.
+/// The point that the cameras look at, and the radius of the largest ball around it that is no larger than the pictures of the
+/// share [`COMMON`] of the cameras; `None` if they look at no common point, or do not see it.
 fn subject(cameras: &[Camera]) -> Option<(DVec3, f64)> {
     let focus = focus(cameras).filter(|focus| is_ahead(cameras, *focus))?;
     let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;
@@ -47,8 +47,8 @@ fn subject(cameras: &[Camera]) -> Option<(DVec3, f64)> {
         .map(|radius| (focus, radius))
 }
 
-/// Radius of the ball around a point that fills a camera's picture: it reaches half of the rays of the border, and at most the
-/// camera; 0 if the point is not in the picture.
+/// Radius of the ball around a point that fills a camera's picture: the median distance to the rays of the border, at most the
+/// distance to the camera; 0 if the point is not in the picture.
 fn filling(camera: &Camera, at: DVec3) -> f64 {
     if !camera.sees(at) {
         return 0.0;
@@ -106,10 +106,10 @@ mod tests {
         let distance = 2.0 * 1.16_f64.sqrt();
         let (found, radius) = subject(&cameras).unwrap();
         assert!((found - centre).length() < 1e-6, "{found}");
-        // The border lies 20 to 34.3 degrees from the axis. All of the upright sides is 30 or more, with a quarter of the others.
+        // The border lies 20 to 34.3 degrees from the axis: all of the upright sides and a quarter of the others at 30 or more.
         let expected = distance * 30.3_f64.to_radians().sin();
         assert!((radius / expected - 1.0).abs() < 0.02, "{radius}, not {expected}");
-        // Fewer than half of the cameras beside their subject change neither.
+        // Moving fewer than half of the cameras closer to the subject does not change the radius.
         for camera in &mut cameras[..6] {
             let away = camera.origin + (centre - camera.origin) * 0.5;
             *camera = Camera { origin: away, ..*camera };

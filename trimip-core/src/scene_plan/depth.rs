@@ -1,4 +1,4 @@
-//! Whether the run begins near points of structure from motion and surfaces of depth images, and rays should end there.
+//! Whether a run starts near points of structure from motion or surfaces of depth images, with rays drawn to end there.
 
 use super::decision::{Context, Proposal};
 use crate::config::Contraction;

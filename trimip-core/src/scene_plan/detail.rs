@@ -11,7 +11,7 @@ use toml::Value;
 /// Length of a uniform marching step in pixel footprints.
 const STEP: f64 = 1.4;
 
-/// Fewest steps along the diagonal, for photographs of few pixels, and most: more are shorter than texels.
+/// Fewest steps along the diagonal, for photographs of few pixels, and most: with more, steps are shorter than texels.
 const STEPS: [f64; 2] = [512.0, 1024.0];
 
 /// Decides how fine an encoder resolves the scene.

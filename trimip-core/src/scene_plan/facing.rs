@@ -1,5 +1,5 @@
-//! Cameras that look along one direction and at no common place, as a drone that looks straight down, or a walk along a wall: where
-//! they are, and how far away lies what they see.
+//! Cameras that look along one direction and at no common place, such as a drone that looks straight down, or a walk along a wall:
+//! their places, and the distance to what they see.
 
 use super::common_view::{cameras, focus};
 use super::sweep;
@@ -7,14 +7,14 @@ use crate::math::symmetric::eigen;
 use crate::{Camera, ViewSet};
 use glam::DVec3;
 
-/// Cameras look along one direction if the mean of their viewing directions is this long: they are about 20 degrees around it.
+/// Cameras look along one direction if the mean of their viewing directions is this long, as of directions 20 degrees from it.
 const ALONG: f64 = 0.94;
 
-/// Cameras look at no common place if the point nearest to their axes lies as far from these as this share of how far the cameras
-/// themselves lie apart across the direction.
+/// Cameras look at no common place if the point nearest to their axes lies farther from the axes than this share of the cameras'
+/// spread across the direction. Both are root mean squares.
 const APART: f64 = 0.5;
 
-/// Fewest cameras that tell.
+/// Fewest cameras for this decision.
 const FEWEST: usize = 3;
 
 /// Cameras that look along one direction.
@@ -26,7 +26,7 @@ pub(super) struct Facing {
     pub(super) direction: DVec3,
     /// Sides of the region of the cameras across the direction, world units, the longer one first.
     pub(super) sides: [f64; 2],
-    /// Distance from the midst to what they see, along the direction; `None` if it is not known.
+    /// Distance from the midst to what the cameras see, along the direction; `None` if it is not known.
     pub(super) distance: Option<f64>,
     /// Width and height of a picture at a distance of one.
     pub(super) picture: [f64; 2],
@@ -67,8 +67,8 @@ impl Facing {
         })
     }
 
-    /// The middle of what they see, and the radius of a ball around it that holds all of what lies at that distance, and reaches the
-    /// cameras; `None` if the distance is not known.
+    /// The middle of what the cameras see, and the radius of a ball around it that holds all that they see at that distance, and
+    /// reaches the cameras; `None` if the distance is not known.
     pub(super) fn ball(&self) -> Option<(DVec3, f64)> {
         let distance = self.distance?;
         let half = |[a, b]: [f64; 2]| 0.5 * a.hypot(b);
@@ -76,7 +76,8 @@ impl Facing {
         Some((self.midst + distance * self.direction, seen.max(distance)))
     }
 
-    /// Sides of the region of the cameras, as multiples of the shorter side of a picture of what they see.
+    /// Sides of the region of the cameras, as multiples of the shorter side of the area that a picture shows; `None` if the
+    /// distance is not known.
     pub(super) fn pictures(&self) -> Option<[f64; 2]> {
         let picture = self.distance? * self.picture[0].min(self.picture[1]);
         Some(self.sides.map(|side| side / picture))

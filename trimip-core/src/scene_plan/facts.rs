@@ -11,7 +11,7 @@ pub struct Facts<'a> {
     pub test: &'a [Camera],
     /// The bounding box that the data state.
     pub stated: Option<&'a StatedBox>,
-    /// Where the coordinates of all of these begin in those of the photographs.
+    /// Origin of the coordinates of all of these, in the coordinates of the photographs.
     pub origin: LocalOrigin,
     /// The device.
     pub compute: &'a Compute,

@@ -1,4 +1,4 @@
-//! How fine a scene is resolved: the footprint of a pixel, occupancy cells, and what the encoders decide by them.
+//! How fine a scene is resolved: the footprint of a pixel, occupancy cells, and the detail of an encoder.
 
 use super::decision::Context;
 use crate::config::PlanChoice;
@@ -50,7 +50,7 @@ pub(super) fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
     median_footprint(views, 0, aabb)
 }
 
-/// Three significant digits.
+/// Formats a number with three significant digits.
 pub(super) fn significant(value: f64) -> String {
     let digits = (2.0 - value.abs().log10().floor()).clamp(0.0, 12.0) as usize;
     format!("{value:.digits$}")

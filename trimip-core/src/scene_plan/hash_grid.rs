@@ -1,4 +1,5 @@
-//! Decisions for the hash grid: when it is the encoder, its levels, and the resolution of its finest level.
+//! Decisions for the hash grid: when it is the encoder, its levels, and the resolution of its finest level. A place is a scene in
+//! contracted space.
 
 use super::decision::{Context, Proposal};
 use super::fineness::{self, Fineness};
@@ -7,35 +8,36 @@ use crate::Aabb;
 use crate::config::{Config, Contraction, EncoderKind, PlanChoice};
 use toml::Value;
 
-/// Levels and features per entry in places: a step reads half as many entries as with instant-ngp's 16 levels of two features.
+/// Levels and features per entry for places: a step reads half as many entries as with instant-ngp's 16 levels of two features.
 const LEVELS: [i64; 2] = [8, 4];
 
-/// log2 of the entries per level in places: few entries stay in a processor's cache and are hit by many rays; many collide less.
+/// log2 of the entries per level for places, in a small and a large table. A small table stays in a processor's cache, and many
+/// rays hit each entry; a large one has fewer collisions.
 const ENTRIES: [i64; 2] = [17, 19];
 
-/// Number of training photographs from which a place needs many entries even in short runs. After 120 s *fox* (43 photographs) has
-/// 0.4 dB less with many entries, *bonsai* (255) 0.2 dB more.
+/// Number of training photographs from which a place needs the large table even in short runs. After 120 s the large table loses
+/// 0.4 dB on *fox* (43 photographs) and gains 0.2 dB on *bonsai* (255).
 const MANY_VIEWS: usize = 100;
 
-/// Budgets in samples from which the table has many entries: with fewer photographs than that, and with as many.
+/// Budgets in samples from which the table is large: with fewer than [`MANY_VIEWS`] photographs, and with at least as many.
 const MANY_SAMPLES: [f64; 2] = [1e9, 8e7];
 
-/// Learning rates in places: of the networks, and of the features as a multiple of it. With planes' rate of the networks, *fox*
-/// has 0.7 dB less after 90 s.
+/// Learning rates for places: of the networks, and of the features as a multiple of it. With the networks' rate for planes, *fox*
+/// loses 0.7 dB after 90 s.
 const RATES: [f64; 2] = [5e-3, 16.0];
 
-/// Fraction of the occupancy cells sampled per update in places, whose steps are small.
+/// Fraction of the occupancy cells sampled per update for places, whose steps are small.
 const PROBED: f64 = 0.02;
 
 /// Best width of the finest cells in pixel footprints: finer ones are hit by fewer rays and collide more often.
 const CELL: f64 = 1.3;
 
-/// Samples per second with the hash grid over those with planes, by its log2 of entries per level up to the first number and beyond
+/// Samples per second with the hash grid relative to planes, for a log2 of entries per level up to the last number, and above it
 /// (*fox* in 60 s, *bonsai* in 300 s, two cores).
 const PACES: ([f64; 2], u32) = ([0.7, 0.6], 17);
 
-/// What the encoder leaves of the expected samples per second, which are those of planes. Budgets are told by it; the plan's limits are
-/// in samples of planes.
+/// Samples per second with the configured encoder relative to planes. The plan prints budgets in samples of the encoder; its limits
+/// are in samples of planes.
 pub(super) fn pace(config: &Config) -> f64 {
     let ([small, large], most) = PACES;
     match config.encoder.kind {
@@ -45,8 +47,8 @@ pub(super) fn pace(config: &Config) -> f64 {
     }
 }
 
-/// True if [`for_places`] will choose the encoder once space is contracted: there are many pixels, and nobody chose an
-/// encoder or a setting of one.
+/// True if [`for_places`] will choose the hash grid once space is contracted: there are many pixels, and the user set neither
+/// the encoder nor a setting of another one.
 pub(super) fn encodes_places(context: &Context<'_>) -> bool {
     let of_another = |path: &str| context.given(path) && !EncoderKind::HashGrid.takes(path);
     match context.configured.plan.encoder {
@@ -55,13 +57,13 @@ pub(super) fn encodes_places(context: &Context<'_>) -> bool {
                 && !context.given("encoder.kind")
                 && !context.given.iter().any(|(path, ..)| of_another(path))
         }
-        // An encoder that is given stays, and has no settings of another.
+        // A given encoder stays, and settings of other encoders are refused.
         PlanChoice::On => !context.given("encoder.kind") || context.now.encoder.kind == EncoderKind::HashGrid,
         PlanChoice::Off => false,
     }
 }
 
-/// The encoder of places: product planes hold one object, and a room has more detail than they can.
+/// The encoder for places: product planes hold one object, and a room has more detail than they can hold.
 pub(super) fn for_places(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction == Contraction::None {
         return Proposal::Keep("the scene is bounded".into());

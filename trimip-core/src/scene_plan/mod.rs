@@ -55,7 +55,7 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
     expect_depth(settings, &configured, facts)?;
     let decided: Result<Vec<_>> =
         DECISIONS.iter().map(|decision| take(decision, settings, &given, &configured, facts)).collect();
-    // Only now it is known whether space is contracted, and which encoder is in use.
+    // All decisions are needed to know whether space is contracted, and which encoder is in use.
     let planned = Config::from_settings(settings)?;
     let place = |path: &str| settings.place(path);
     planned.refuse_settings_of_other_encoders(&Checker::new(&place, &|_| true), |_| false)?;
@@ -76,7 +76,7 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
     Ok(settled.into_iter().chain(decided?).collect())
 }
 
-/// Takes the decision on the box alone, which no device has a part in, and changes `settings` accordingly.
+/// Takes the decision on the box alone, which does not depend on the device, and changes `settings` accordingly.
 ///
 /// # Errors
 /// When it is `on` and cannot be taken.
@@ -87,8 +87,8 @@ pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
     take(&DECISIONS[0], settings, &given, &configured, facts)
 }
 
-/// Refuses cameras that only turn at one place, unless the user gives the box. One that the data state tells of no depth: exporters
-/// write `aabb_scale` whatever the poses are.
+/// Refuses cameras that only turn at one place, unless the user gives the box. A box that the data state is no sign of depth:
+/// exporters write `aabb_scale` for any poses.
 fn expect_depth(settings: &Settings, configured: &Config, facts: &Facts<'_>) -> Result<()> {
     let given =
         ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| *settings.origin(path) != Origin::Default);
@@ -137,7 +137,7 @@ fn take(
         Proposal::Set { reason, changes } | Proposal::LeaveOut { reason, changes } => {
             let mut kind = now.encoder.kind;
             let mut told = Vec::new();
-            // A decision that knows tri-mip planes says nothing of another encoder.
+            // A decision on tri-mip planes changes no setting of another encoder, and leaves nothing out there.
             let left_out = left_out && changes.iter().any(|(path, _)| kind.takes(path));
             for (path, value) in changes {
                 if !kind.takes(path) {
@@ -158,7 +158,7 @@ fn take(
     }
 }
 
-/// Applies the decisions that a run made at its start: a continued run is not planned again. Settings that differ from
+/// Applies the decisions that a run made at its start: a resumed run is not planned again. Settings that differ from
 /// their values before the plan are kept; they make a different run.
 ///
 /// # Errors

@@ -1,5 +1,5 @@
-//! The origin of a scene far from that of its coordinates. It was chosen when the scene was opened; here it becomes a setting, and the
-//! box and the crop that the user gave in the coordinates of the photographs follow it.
+//! The local origin of a scene far from the origin of its coordinates. It is chosen when the scene is opened; this module makes it
+//! a setting, and converts the box and the crop that the user gave in the coordinates of the photographs.
 
 use super::facts::Facts;
 use super::finding::{Change, Finding};
@@ -13,8 +13,8 @@ pub(super) const KEY: &str = "origin";
 
 const SETTING: &str = "data.origin";
 
-/// Puts the scene's origin into the settings, and counts the places that they state from it. `None` where coordinates are those of
-/// the photographs, or `data.origin` is given.
+/// Writes the scene's origin into the settings, and converts the places that they state to local coordinates. `None` if coordinates
+/// are those of the photographs, or if `data.origin` is given.
 ///
 /// # Errors
 /// When a value does not fit.
@@ -60,7 +60,7 @@ fn reason(origin: LocalOrigin) -> String {
     )
 }
 
-/// A setting's place with all of its digits, which a typed configuration lacks.
+/// The place in a setting as f64; a typed configuration has it as f32.
 fn place(settings: &Settings, path: &str) -> Option<[f64; 3]> {
     let numbers: Option<Vec<f64>> = settings.get(path)?.as_array()?.iter().map(Value::as_float).collect();
     numbers?.try_into().ok()
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
     use crate::Config;
 
-    /// Places that the user gives have the coordinates of the photographs, whichever those of the plan are.
+    /// Places that the user gives are in the coordinates of the photographs, even if the plan's coordinates differ.
     #[test]
     fn given_places_of_a_far_scene_follow_its_origin() {
         let (train, compute) = (views(true), Compute::one_thread());
@@ -103,14 +103,14 @@ mod tests {
         assert_eq!(config.scene.aabb_max, [1.25, 1.125, 1.0]);
         assert_eq!(config.scene.crop.to_string(), "ball 0.5,0,0,0.75");
         assert_eq!(findings[0].changes.len(), 4, "{:?}", findings[0]);
-        // The run goes on with them.
+        // A resumed run has the same configuration.
         let mut again = of(&set);
         adopt(&mut again, &findings).unwrap();
         assert_eq!(Config::from_settings(&again).unwrap(), config);
         let mut inspected = of(&set);
         make_box(&mut inspected, &facts).unwrap();
         assert_eq!(Config::from_settings(&inspected).unwrap().scene, config.scene);
-        // Where the origin is given too, as in the configuration that a run writes, they count from it.
+        // If the origin is given too, as in the configuration that a run writes, places are relative to it.
         let whole = of(&[
             "data.origin=[4075539, 931735, 4801629]",
             "scene.aabb_min=[-0.75, -0.875, -0.5]",

@@ -9,7 +9,7 @@ pub fn range<'a>(cameras: impl IntoIterator<Item = &'a Camera>, aabb: &Aabb<f64>
     let (min, max) = (DVec3::from_array(aabb.min), DVec3::from_array(aabb.max));
     let of = |camera: &Camera| {
         let k = &camera.intrinsics;
-        // Eq. 3 falls from the optical axis to the corners.
+        // The radius of Eq. 3 falls from the optical axis to the corners.
         let clamp = |at: f64, side: u32| (at.max(0.0) as u32).min(side.saturating_sub(1));
         let (right, lower) = (k.width.saturating_sub(1), k.height.saturating_sub(1));
         let pixels =
@@ -54,7 +54,7 @@ mod tests {
                     most = most.max(cone.radius_at(leave));
                 }
             }
-            // Bounds, and not much wider than what there is: the farthest corner need not be in the picture.
+            // The bounds are not much wider than the actual range: the farthest corner need not be in the picture.
             assert!(low <= least && least <= 1.5 * low + 1e-3, "{origin}: {low} for {least}");
             assert!(most <= high && high <= 2.0 * most, "{origin}: {high} for {most}");
         }

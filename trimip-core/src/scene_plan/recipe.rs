@@ -1,5 +1,5 @@
 //! Training recipe of a scene: its background, whether models are solid, and the size of networks and steps for the number
-//! of samples that the time budget allows on this machine.
+//! of samples that the time budget allows on this machine. A place is a scene in contracted space.
 
 use super::decision::{Context, Proposal};
 use super::fineness::significant;
@@ -14,56 +14,57 @@ use toml::Value;
 /// Weight of the opacity loss where opacity is known: it makes models solid.
 const OPACITY: f64 = 0.1;
 
-/// Weight of the distortion loss in places whose colours see directions from the start, and late: it gathers the density of a ray at
-/// its surface. Too much moves all density in front of the cameras: 0.01 with colours that see directions from the start, 0.03 otherwise.
+/// Weight of the distortion loss for places whose colours depend on the viewing direction from the start, and after a delay. The loss
+/// concentrates the density of a ray at its surface. Too large a weight moves all density in front of the cameras: 0.01 without a
+/// delay, 0.03 with one.
 const DISTORTIONS: [f64; 2] = [1e-3, 5e-3];
 
-/// Fewest pixels of a place's photographs for a hash grid and opaque rays: with fewer, a grid has more values than they have,
-/// and explains each photograph by density of its own in front of the camera.
+/// Fewest pixels of a place's photographs for a hash grid and opaque rays. With fewer pixels, the grid has more values than the
+/// photographs, and explains each of them by separate density in front of its camera.
 const MANY_PIXELS: usize = 1 << 20;
 
-/// Number of training photographs of a place from which colours see directions from the start. With 11 to 43 photographs the delay
-/// gains 0.7 to 6 dB, with 85 and 255 it loses 0.2 to 0.4.
+/// Number of training photographs of a place from which colours depend on the viewing direction from the start. With 11 to 43
+/// photographs the delay gains 0.7 to 6 dB, with 85 and 255 it loses 0.2 to 0.4 dB.
 const MANY_VIEWS: usize = 60;
 
-/// Fraction of the run in which colours of places in fewer photographs do not change with the view.
+/// Fraction of the run in which colours ignore the viewing direction, for places with fewer photographs.
 const DIRECTION_DELAY: f64 = 0.2;
 
-/// Weight up to which the samples of a ray merge, and transmittance behind which they are dropped. A step then sees about twice as
+/// Weight up to which the samples of a ray merge, and transmittance behind which they are dropped. A step then has about twice as
 /// many rays of an object.
 const FAINT: f64 = 0.01;
 
-/// Longest side of the box for which the density of a new model is that of its logits: Blender scenes at ±1.5 units.
+/// Longest side of the box for which `field.density_scale` is 1: Blender scenes at ±1.5 units.
 const USUAL_SIDE: f64 = 3.0;
 
-/// The same for places in contracted space. With a quarter of the density, *fox* loses 1.1 dB in a minute.
+/// That side for places. With a quarter of the density, *fox* loses 1.1 dB in a minute.
 const USUAL_PLACE: f64 = 20.0;
 
 /// Fraction of a step's pixels that are drawn by their errors.
 const BY_ERROR: f64 = 0.8;
 
-/// Most rays of a run per pixel of its photographs for an error map. With 5 of them (*dtu24*), pixels that stay wrong are those that
-/// photographs contradict, and the map gains nothing.
+/// Most rays per pixel of the photographs in a run with an error map. With 5 rays per pixel (*dtu24*), the pixels that stay wrong
+/// are those where photographs contradict each other, and the map gains nothing.
 const SEEN_LITTLE: f64 = 3.0;
 
-/// Most rays of a run per pixel of its photographs for coarse scales first. With 0.04 of them *bonsai* gains 0.2 dB at 1/1 and 0.5 at
-/// 1/8; with 0.14 nothing.
+/// Most rays per pixel of the photographs in a run that starts on coarse scales. With 0.04 rays per pixel, *bonsai* gains 0.2 dB at
+/// 1/1 and 0.5 dB at 1/8; with 0.14, nothing.
 const SEEN_HARDLY: f64 = 0.1;
 
-/// The finest scale over such a run, and `train.scale_weighting` of equally many rays of every scale.
+/// `train.finest_scale` over such a run, and the `train.scale_weighting` that gives every scale equally many rays.
 const COARSE_FIRST: &[[f64; 2]] = &[[0.0, 1.0], [0.5, 0.0]];
 const SCALES_ALIKE: f64 = 1.0;
 
-/// Kept samples of a ray, of objects and of places.
+/// Kept samples per ray, for objects and for places.
 const SAMPLES_PER_RAY: [f64; 2] = [2.0, 5.0];
 
 /// Alpha of an opaque pixel.
 const OPAQUE: u8 = 255;
 
-/// Best size of the networks for budgets of fewer samples than the first number; the last has no limit.
+/// Best width of the networks for budgets of fewer samples than the first number; the last width has no limit.
 const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
 
-/// Least size of the networks in places. Narrower ones left density in front of the cameras of *bonsai*.
+/// Least width of the networks for places. Narrower ones leave density in front of the cameras of *bonsai*.
 const PLACE_WIDTH: u32 = 64;
 
 /// Budgets in samples from which the final marching step is the uniform step, and half of it.
@@ -83,7 +84,7 @@ const SHORT_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]];
 const LONG_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]];
 const LONGEST_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.0146, 4.0], [0.0583, 2.0], [0.292, 1.0], [0.972, 0.5]];
 
-/// Batch size over a long run: half at first, where samples are alike.
+/// Batch size over a long run: half at first, while samples are alike.
 const LONG_BATCH_SCALE: &[[f64; 2]] = &[[0.0, 0.5], [0.292, 1.0]];
 
 /// Milestones of the learning rate for the longest runs: it falls to a hundredth.
@@ -159,13 +160,12 @@ pub(super) fn hull(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// True if the photographs tell the opacity of every pixel: by their alpha, or because space has no end and every ray meets
-/// something.
+/// True if the opacity of every pixel is known: from alpha, or because space is unbounded and every ray meets something.
 pub(super) fn knows_opacity(config: &Config, views: &ViewSet) -> bool {
     has_alpha(views) || config.scene.contraction != Contraction::None
 }
 
-/// True if the photographs have more values than the encoder of places.
+/// True if the finest photographs have at least [`MANY_PIXELS`] pixels.
 pub(super) fn has_many_pixels(views: &ViewSet) -> bool {
     views.scales.first().is_some_and(|finest| finest.pixels.len() >= MANY_PIXELS)
 }
@@ -204,7 +204,8 @@ pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
     Proposal::Set { reason: reason.into(), changes }
 }
 
-/// A place in few photographs: density before each camera could show its picture alone if colours changed with the view.
+/// Delays view dependence for a place in few photographs: otherwise density in front of each camera could show that camera's
+/// picture alone.
 pub(super) fn direction_delay(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction == Contraction::None {
         return Proposal::Keep("the scene is bounded".into());
@@ -224,8 +225,8 @@ pub(super) fn direction_delay(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// Density is per unit of length. Its scale follows the box, so that a new model lets as much light through whatever the unit is. Powers
-/// of two keep the usual boxes of objects at 1.
+/// Density is per unit of length. Its scale follows the box, so that the transmittance of a new model does not depend on the unit.
+/// Rounding to powers of two gives the usual boxes of objects a scale of 1.
 pub(super) fn density(context: &Context<'_>) -> Proposal {
     let side = Aabb::<f64>::new(&context.now.scene).longest();
     let scale = match context.now.scene.contraction {
@@ -255,7 +256,7 @@ pub(super) fn error_map(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// How often the budget sees each pixel of the photographs, and the words for it.
+/// Expected rays per pixel of the photographs within the budget, and the text that states them.
 fn seen(context: &Context<'_>) -> (f64, String) {
     let pixels = context.facts.train.pixels.len() as f64;
     let [object, place] = SAMPLES_PER_RAY;
@@ -267,7 +268,7 @@ fn seen(context: &Context<'_>) -> (f64, String) {
     (seen, format!("the budget sees each of {:.1} M pixels about {} times", 1e-6 * pixels, significant(seen)))
 }
 
-/// A run that sees few of the pixels learns more from coarse ones, each of which is the mean of many.
+/// A run that draws few of the pixels learns more from coarse ones, each of which is the mean of many.
 pub(super) fn coarse_to_fine(context: &Context<'_>) -> Proposal {
     let (seen, often) = seen(context);
     if seen > SEEN_HARDLY {

@@ -9,8 +9,8 @@ use toml::Value;
 /// Levels beyond the largest Gaussian that are kept, for cameras farther away.
 const SPARE_LEVELS: f64 = 1.0;
 
-/// Planes whose texels follow the footprint of a pixel and the budget as those of tri-mip planes do, never finer than configured, with the levels that the cameras
-/// of the set need.
+/// Planes whose texels follow the footprint of a pixel and the budget, like those of tri-mip planes, and are never finer than
+/// configured; with the levels that the cameras of the set need.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let (aabb, given) = (Aabb::<f64>::new(&context.now.scene), &context.configured.rip_map);
     let footprint = fineness::footprint(context.facts.train, &aabb);

@@ -1,5 +1,5 @@
-//! A plane sweep (Collins, A space-sweep approach to true multi-image matching, 1996): of all planes across the direction in which
-//! cameras look, that one is seen at which neighbouring photographs have the same colours.
+//! A plane sweep (Collins, A space-sweep approach to true multi-image matching, 1996): of all planes across the cameras' viewing
+//! direction, they see the one on which neighbouring photographs have the same colours.
 
 use crate::scene::strays::strays;
 use crate::{Camera, Scale, ViewSet};
@@ -18,7 +18,8 @@ const PLACES: u32 = 16;
 /// Each plane is this many times as far away as the one before.
 const STEP: f64 = 1.05;
 
-/// The nearest plane is one of which a neighbour shows this share; the farthest moves by this many pixels between neighbours.
+/// A neighbouring picture shows this share of a picture's part of the nearest plane; the farthest plane shifts by this many pixels
+/// between neighbours.
 const LEAST_SHARED: f64 = 0.2;
 const LEAST_PIXELS: f64 = 1.0;
 
@@ -59,7 +60,7 @@ pub(super) fn distance(views: &ViewSet, midst: DVec3, direction: DVec3) -> Optio
         let first = views.views.get(scale.views.start).map(|view| view.camera.intrinsics);
         first.is_some_and(|k| k.width.max(k.height) >= SIDE)
     };
-    // Of coarse scales there is less to average.
+    // Coarse scales have fewer pixels to average.
     let compared = views.scales.iter().rev().find(enough).or(views.scales.first())?.views.clone();
     let cameras: Vec<Camera> = compared.clone().map(|view| views.views[view].camera).collect();
     let strays = strays(&cameras);

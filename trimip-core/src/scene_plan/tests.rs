@@ -15,7 +15,7 @@ pub(super) fn views(alpha: bool) -> ViewSet {
     views_of(alpha, 16)
 }
 
-/// The same with any number of views. Sixteen have 2^20 pixels at the finest scale.
+/// `count` such views. Sixteen have 2^20 pixels at the finest scale.
 fn views_of(alpha: bool, count: u32) -> ViewSet {
     let mut set = ViewSet {
         views: Vec::new(),
@@ -102,7 +102,7 @@ fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
 fn edge_exponents_are_those_of_the_photographs() {
     let exponents = |train: &ViewSet, set: &[&str]| planned(train, set).unwrap().0.data.edge_exponents;
     let mut train = views(true);
-    // Means of straight colours of which a clear pixel has none: colour times alpha is P·A.
+    // Means of straight colours in which clear pixels are black: colour times alpha is P·A.
     for i in train.scales[1].views.clone() {
         let (fine, coarse) = (i - train.scales[1].views.start, train.views[i].offset);
         let means = train.means(fine, 2);
@@ -149,7 +149,7 @@ fn ripmaps_are_as_fine_as_planes_and_have_the_levels_that_cameras_need() {
     assert_eq!(given.rip_map.levels, 7, "a setting that is given stays");
 }
 
-/// The plan tells what it sets, and no more.
+/// The plan reports only what it sets.
 #[test]
 fn the_budget_says_nothing_of_the_settings_of_another_encoder() {
     let train = views(true);
@@ -320,7 +320,7 @@ fn cameras_at_one_place_are_refused() {
 
 #[test]
 fn cameras_at_one_place_but_for_rounding_are_refused() {
-    // The translations of world-to-camera matrices around a circle: the program counts from a place among them.
+    // The translations of world-to-camera matrices of cameras on a circle, which get a local origin.
     let mut train = views(false);
     let stated: Vec<Camera> = (train.views.iter().enumerate())
         .map(|(i, view)| Camera { origin: DVec3::new(4e-16 * i as f64, 0.0, -2.5), ..view.camera })
@@ -419,7 +419,7 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     assert_eq!(bounded.renderer.step_scale.at(1.0), 2.0);
 }
 
-/// A continued run takes the decisions of its start as they are told.
+/// A resumed run adopts the decisions of its start from their record.
 #[test]
 fn decisions_on_the_encoder_are_adopted() {
     let train = views(false);
@@ -433,7 +433,7 @@ fn decisions_on_the_encoder_are_adopted() {
 fn what_masks_ignore_is_neither_empty_nor_of_any_colour() {
     let ignored = ViewSet { alpha: Alpha::Kept, ..views(true) };
     let (config, findings) = planned(&ignored, &["scene.contraction=none"]).unwrap();
-    // Kept pixels are red, and so are those of the silhouettes that are not there.
+    // Kept pixels are red, and so are the ignored ones.
     assert_eq!((config.loss.opacity, config.data.background), (0.0, [1.0, 0.0, 0.0]), "{findings:?}");
     assert!(!config.occupancy.hull && config.data.edge_exponents.is_empty());
     let garbage = |colour: [u8; 3]| {
@@ -510,8 +510,8 @@ fn what_the_user_set_and_what_cannot_be_known_stays() {
     assert_eq!(Config { plan: Config::default().plan, ..config }, Config::default());
 }
 
-/// Photographs that show their surroundings: a cube of contracted space in the middle of which the cameras lie, whatever
-/// box the data state. Photographs with alpha, a given box and a given contraction keep a bounded space.
+/// Photographs that show their surroundings get a cube of contracted space with the cameras in its middle, whatever box the
+/// data state. Photographs with alpha, a given box or a contraction of "none" keep space bounded.
 #[test]
 fn surroundings_are_contracted() {
     let train = views(false);

@@ -1,4 +1,4 @@
-//! Where up is, from where the cameras are and look: pictures of a place stand upright by it.
+//! The up direction of a scene, from the places and directions of its cameras. It keeps rendered pictures upright.
 
 use super::common_view::cameras;
 use super::facing::{Facing, axes};
@@ -8,26 +8,26 @@ use glam::DVec3;
 /// The cameras' own up directions agree if their mean is this long.
 const AGREE: f64 = 0.3;
 
-/// Cameras that look along one direction pass over a ground where their region is at least this share of a picture of it both ways;
-/// those that face a subject stay within a smaller one.
+/// Cameras that look along one direction pass over a ground if their region is at least this share of a picture along both axes;
+/// cameras that face a subject stay within a smaller region.
 const OVER: f64 = 0.5;
 
 /// Places lie in a plane if their spread across it is at most this share of the smaller spread within.
 const FLAT: f64 = 0.3;
 
-/// Least cosine between the cameras' mean viewing direction and the normal of their plane that tells its sides apart.
+/// Least cosine between the cameras' mean viewing direction and the normal of their plane that distinguishes its sides.
 const SIDED: f64 = 0.1;
 
-/// Up, and how it is known.
+/// The up direction, and its source.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Up {
-    /// To two digits, which are enough to stand upright; `None` if nothing tells.
+    /// The direction, rounded to two digits; `None` if it is unknown.
     pub(super) direction: Option<DVec3>,
-    /// Words for the plan, unless the cameras' own up directions tell.
+    /// Text for the plan; `None` if it is simply the mean of the cameras' own up directions.
     pub(super) reason: Option<String>,
 }
 
-/// Up in a world of these views. `facing` are their cameras, if they look along one direction.
+/// Finds the up direction of these views. `facing` describes their cameras, if they look along one direction.
 pub(super) fn find(views: &ViewSet, facing: Option<&Facing>) -> Up {
     let cameras = cameras(views);
     let count = cameras.len().max(1) as f64;
@@ -69,7 +69,7 @@ pub(super) fn find(views: &ViewSet, facing: Option<&Facing>) -> Up {
     )
 }
 
-/// A direction to two digits; `None` if it has none.
+/// Rounds a direction to two digits; `None` for a vector without a direction.
 fn rounded(direction: DVec3) -> Option<DVec3> {
     let rounded = (100.0 * direction.normalize_or_zero()).round() / 100.0;
     (rounded != DVec3::ZERO).then_some(rounded + DVec3::ZERO)
@@ -145,7 +145,8 @@ mod tests {
         (0..25).map(camera).collect()
     }
 
-    /// Up, and the cameras' ball if they look along one direction; the same in a world that is turned, moved and of another unit.
+    /// The up direction, and the cameras' ball if they look along one direction. Both must follow when the world is turned, moved and
+    /// scaled.
     fn found(cameras: &[Camera]) -> (Up, Option<(DVec3, f64)>) {
         let mut set = views(cameras);
         let facing = Facing::of(&set);
@@ -182,7 +183,7 @@ mod tests {
         let (up, facing) = found(&orbit(|_| 0));
         assert_up(&up, DVec3::Z);
         assert!(up.reason.is_none() && facing.is_none());
-        // All upright formats, or some of each kind: their own up directions cancel each other.
+        // All cameras rolled by a quarter, or rolled differently: their own up directions cancel each other.
         let held: [fn(u32) -> u32; 3] = [|_| 1, |i| i % 4, |i| 2 * (i % 2)];
         for quarters in held {
             let (up, facing) = found(&orbit(quarters));
@@ -218,7 +219,7 @@ mod tests {
 
     #[test]
     fn cameras_that_face_a_subject_are_held_upright() {
-        // A wall, which the ground of these views becomes when they are turned: z is towards the cameras, y is up.
+        // The ground of these views serves as a wall: z points to the cameras, y is up.
         let place = |i: u32| DVec3::new(0.2 * f64::from(i % 5) - 0.4, 0.2 * f64::from(i / 5) - 0.4, 4.0);
         let parallel: Vec<Camera> = (0..25).map(|i| look(place(i), -DVec3::Z, DVec3::Y, 0)).collect();
         let (up, ball) = found(&parallel);
@@ -241,7 +242,7 @@ mod tests {
         let (up, ball) = found(&row);
         assert_up(&up, DVec3::Y);
         assert!(up.reason.unwrap().contains("not known") && ball.is_some());
-        // There and back: not even the way in which they are held.
+        // A walk there and back: the cameras' own up directions cancel, too.
         let back: Vec<Camera> = (0..12)
             .map(|i| look(place(i), -DVec3::Z, if i % 2 == 0 { DVec3::Y } else { -DVec3::Y }, 0))
             .collect();
@@ -259,7 +260,7 @@ mod tests {
         let facing = Facing::of(&set).unwrap();
         assert_eq!((facing.distance, facing.ball()), (None, None));
         assert!(find(&set, Some(&facing)).reason.unwrap().contains("not known"));
-        // Points tell it.
+        // Known points give the distance.
         set.depths = (0..9)
             .map(|pixel| crate::scene::depths::KnownDepth { pixel, distance: 2.5, deviation: 0.1 })
             .collect();

@@ -11,7 +11,8 @@ const PROBES: u32 = 24;
 /// Coverage of the photographs below which a warning is given.
 const ENOUGH: f64 = 0.5;
 
-/// Share of the pixels of alpha above one half, of the object or kept by masks, whose rays hit the box; `None` without any.
+/// Share of the pixels with alpha above one half (of the object, or kept by masks) whose rays hit the box; `None` without any
+/// such pixel.
 pub(super) fn coverage(config: &Config, views: &ViewSet) -> Option<f64> {
     let aabb = Aabb::<f64>::new(&config.scene);
     let finest = views.scales.first()?;

@@ -1,4 +1,4 @@
-//! What refuses a setting: the place where it was set, and the message that every refusal has.
+//! Refusal of settings: errors that name the place where a setting was set, and what is expected.
 
 use crate::{Error, Result};
 
@@ -15,7 +15,7 @@ impl<'a> Checker<'a> {
         Self { place, given }
     }
 
-    /// Where the value of a dotted path was set.
+    /// Returns the place where the value of a dotted path was set.
     pub fn place(&self, path: &str) -> String {
         (self.place)(path)
     }
@@ -28,7 +28,7 @@ impl<'a> Checker<'a> {
     /// Refuses the setting `path` unless `ok`.
     ///
     /// # Errors
-    /// Of kind `Input`: names the place, and what is expected.
+    /// Of kind `Input`; the error names the place, and what is expected.
     pub fn check(&self, ok: bool, path: &str, expected: &str) -> Result<()> {
         match ok {
             true => Ok(()),
@@ -36,7 +36,7 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// As [`check`](Self::check), for what several settings must be together: names the first that was given.
+    /// Like [`check`](Self::check), for a condition on several settings: the error names the first of them that was given.
     ///
     /// # Errors
     /// As [`check`](Self::check).

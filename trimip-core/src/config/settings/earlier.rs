@@ -1,10 +1,10 @@
 //! Settings of earlier versions, which old configurations, runs and model files still name.
 
-/// Settings that had one value only, that value, and why. It is accepted and ignored; any other is refused.
+/// Retired settings: path, the only value that is accepted (and ignored), and the text that refuses any other value.
 pub(super) const RETIRED: [(&str, i64, &str); 1] =
     [("encoder.channels", 16, "16, or leave it out: a texel of the tri-mip planes has 16 features")];
 
-/// Old and new path of settings that have another name now.
+/// Old and new paths of renamed settings.
 const RENAMED: [(&str, &str); 6] = [
     ("eval.perceived", "eval.perceptual_views"),
     ("eval.share", "eval.time_fraction"),
@@ -14,7 +14,7 @@ const RENAMED: [(&str, &str); 6] = [
     ("train.scale_balance", "train.scale_weighting"),
 ];
 
-/// The present path of a setting that was renamed; `None` for all others.
+/// Returns the new path of a renamed setting; `None` for all others.
 pub(super) fn renamed(path: &str) -> Option<&'static str> {
     RENAMED.iter().find(|(old, _)| *old == path).map(|(_, new)| *new)
 }

@@ -10,8 +10,8 @@ use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use toml::{Table, Value};
 
-/// Settings of a crate other than core in the form in which it uses them. Settings of core in the same section may be
-/// among its fields.
+/// A typed section of settings that a crate other than core owns. Its fields may include core's settings of the same
+/// section.
 ///
 /// ```
 /// use serde::{Deserialize, Serialize};
@@ -36,13 +36,13 @@ use toml::{Table, Value};
 pub trait Section: Serialize + DeserializeOwned {
     /// Name, as between brackets.
     const NAME: &'static str;
-    /// The settings that it adds to the section, in order.
+    /// Settings that the crate adds to the section, in order.
     const FRAGMENTS: &'static [Fragment];
 
-    /// Refuses what settings must not be together.
+    /// Refuses settings that contradict each other.
     ///
     /// # Errors
-    /// Names the setting, its place and what is expected.
+    /// The error names the setting, its place and what is expected.
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         let _ = to;
         Ok(())
@@ -60,7 +60,7 @@ fn check<S: Section>(table: &Table, to: &Checker<'_>) -> Result<()> {
     read::<S>(table, to).map(drop)
 }
 
-/// The typed section of the values in `table`. Settings that it lacks have their defaults.
+/// Reads the typed section from `table`. Settings missing from `table` have their defaults.
 pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
     let mut table = table.clone();
     for (path, definition) in S::FRAGMENTS.iter().flat_map(definitions_of) {
@@ -85,7 +85,7 @@ pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
     Ok(section)
 }
 
-/// A value that the typed form does not have: toml's error names the key; where it was set is the place to correct.
+/// Error for a value that the typed form rejects. toml's error names the key; the result names the place where it was set.
 pub(crate) fn mistyped(error: &toml::de::Error, paths: &[String], to: &Checker<'_>) -> Error {
     let text = error.to_string();
     let place = paths.iter().find(|path| text.contains(&format!("`{path}`")));
@@ -93,7 +93,7 @@ pub(crate) fn mistyped(error: &toml::de::Error, paths: &[String], to: &Checker<'
     Error::input(place, error.message(), "see its meaning in `trimip-cli config --defaults`")
 }
 
-/// Where a value of a configuration in memory is, as text for an error.
+/// Place of a value of a configuration in memory, as text for an error.
 pub(crate) fn in_memory(path: &str, value: Option<&Value>) -> String {
     value.map_or(path.to_string(), |value| format!("configuration: {path} = {}", shown(value)))
 }

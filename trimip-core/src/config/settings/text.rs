@@ -1,4 +1,4 @@
-//! Lines of settings as TOML text: where a section is, and where a line is put into it.
+//! Settings as lines of TOML: finds sections and inserts lines into them.
 
 /// The name of the section that a line begins.
 pub(crate) fn section_begun(line: &str) -> Option<&str> {
@@ -10,9 +10,9 @@ pub(crate) fn parts_of(path: &str) -> (&str, &str) {
     path.split_once('.').unwrap_or(("", path))
 }
 
-/// Puts the line of a setting into its section: behind the line of the setting with the key `after`, or at the beginning of
-/// the section where `after` is empty, or at the section's end where it has no such line. A section that the text does not
-/// have is added at the end, beginning with `header`.
+/// Inserts the line of a setting into its section: after the line with the key `after`, at the beginning of the section if
+/// `after` is empty, or at its end if no line has that key. A missing section is appended to the text, beginning with
+/// `header`.
 pub(crate) fn insert(lines: &mut Vec<String>, header: &str, after: &str, line: String) {
     let section = section_begun(header).unwrap_or_default();
     let begin = match lines.iter().position(|line| section_begun(line) == Some(section)) {

@@ -1,4 +1,4 @@
-//! Values of settings as TOML has them: from the text of a file or of an assignment, and in the type of their defaults.
+//! Values of settings in TOML: parsed from files and assignments, and converted to the types of their defaults.
 
 use toml::de::DeValue;
 use toml::{Spanned, Table, Value};
@@ -29,7 +29,7 @@ pub(crate) fn parsed(text: &str) -> Value {
         .unwrap_or_else(|| Value::String(text.to_string()))
 }
 
-/// A value for a message: TOML, but 1e308 not with all of its digits.
+/// A value for a message, as TOML. Large floats are written as 1e308, not with all of their digits.
 pub(crate) fn shown(value: &Value) -> String {
     match value {
         Value::Float(number) => format!("{number:?}"),
@@ -40,7 +40,8 @@ pub(crate) fn shown(value: &Value) -> String {
     }
 }
 
-/// `value` in the type of the default; integers are accepted for floats. `Err` holds what was found and what is expected.
+/// Converts `value` to the type of the default; integers are accepted for floats. `Err` holds what was found and what is
+/// expected.
 pub(crate) fn fit(default: &Value, value: Value) -> Result<Value, (String, &'static str)> {
     let found = shown(&value);
     match (default, value) {

@@ -1,5 +1,6 @@
 //! Panoramas: columns are longitudes and rows are latitudes, all around one point. As in nerfstudio's `EQUIRECTANGULAR`, a focal
-//! length is the number of pixels of π radians: half the width and the height of a whole panorama. The middle looks along −z.
+//! length is the number of pixels per π radians: of a whole panorama, half the width (fx) and the height (fy). The principal
+//! point looks along −z.
 
 use super::{BallImage, Colmap, Definition, LocalRay, Model, Projection, plain};
 use crate::Intrinsics;
@@ -7,7 +8,7 @@ use crate::math::scalar::Real;
 use glam::DVec3;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Longitudes and latitudes.
+/// The equirectangular model of panoramas.
 pub struct Equirectangular;
 
 impl Projection for Equirectangular {
@@ -53,7 +54,7 @@ impl Projection for Equirectangular {
     fn image_of(k: &Intrinsics, point: DVec3) -> Option<[f64; 2]> {
         let [longitude, latitude] = angles(point)?;
         let (x, width) = (k.cx + k.fx * longitude / PI, f64::from(k.width));
-        // A place beyond a side of the image lies within it after a whole turn, if there is one.
+        // A place beyond a side of the image may lie within it after a whole turn.
         let turned = if x < 0.0 { x + 2.0 * k.fx } else { x - 2.0 * k.fx };
         let inside = |x: &f64| (0.0..width).contains(x);
         let x = if !inside(&x) && inside(&turned) { turned } else { x };
@@ -66,7 +67,7 @@ impl Projection for Equirectangular {
             return BallImage::Anywhere;
         };
         let high = (radius / distance).asin();
-        // A ball at a pole has all longitudes.
+        // A ball at a pole covers all longitudes.
         if latitude.abs() + high > 0.999 * FRAC_PI_2 {
             return BallImage::Anywhere;
         }
@@ -87,7 +88,7 @@ impl Projection for Equirectangular {
     }
 }
 
-/// Longitude and latitude of a point; `None` for the middle.
+/// Longitude and latitude of a point; `None` for the centre of projection.
 fn angles(point: DVec3) -> Option<[f64; 2]> {
     let across = point.x.hypot(point.z);
     (across + point.y.abs() > 0.0).then(|| [point.x.atan2(-point.z), point.y.atan2(across)])
@@ -118,7 +119,7 @@ mod tests {
                 total += solid;
                 mean += solid * DVec3::from(cone.direction);
             }
-            // The cosine of the middle of a row is its mean but for Δ²/24.
+            // The cosine at the middle of a row is the row's mean cosine, up to Δ²/24.
             let bound = 4.0 * PI * (PI / f64::from(height)).powi(2) / 20.0;
             assert!((total - 4.0 * PI).abs() < bound, "{total}");
             assert!(mean.length() < 1e-9, "{mean}");

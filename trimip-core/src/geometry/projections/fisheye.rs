@@ -1,5 +1,5 @@
-//! Fisheye images: rays meet at one point, and the distance of a ray's image from the middle is its angle to the optical
-//! axis, moved by the distortion of the lens.
+//! Fisheye images: rays meet at one point, and the distance of a ray's image from the principal point is its angle to the
+//! optical axis, changed by the distortion of the lens.
 
 use super::perspective::{lens_ball, undistorted};
 use super::{BallImage, Colmap, Definition, LocalRay, Model, Projection, plain};

@@ -1,6 +1,6 @@
-//! Camera models by name. A model maps places in the image to rays and points to places, generic over f32 and f64. It is a
-//! file here, a WGSL file of the same name in `trimip-wgpu/src/shaders/projections`, and a line in the registry of each
-//! crate. Axes are those of the camera: x right, y up, −z ahead. Lengths in the image are pixels.
+//! Camera models by name. A model maps places in the image to rays, and points to places, generic over f32 and f64. Each model
+//! is a file in this folder, a WGSL file of the same name in `trimip-wgpu/src/shaders/projections`, and a line in the registry
+//! of each crate. Axes are those of the camera: x right, y up, −z ahead. Lengths in the image are pixels.
 
 mod equirectangular;
 mod fisheye;
@@ -13,16 +13,16 @@ use crate::{Intrinsics, Lens};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// What files and messages call a camera model, and how files state its focal lengths.
+/// Names of a camera model in files and messages, and how files state its focal lengths.
 #[derive(Debug)]
 pub struct Definition {
     /// Name in messages; the WGSL function of the model is `cone_NAME`.
     pub name: &'static str,
-    /// Values of `camera_model` in transforms files. A model without coefficients is written by the first.
+    /// Values of `camera_model` in transforms files. A model without coefficients is written under the first.
     pub file_names: &'static [&'static str],
     /// Keys of instant-ngp's transforms files that choose the model, unless their value is false.
     pub flags: &'static [&'static str],
-    /// The models of COLMAP that are this one.
+    /// The models of COLMAP that this model covers.
     pub colmap: &'static [Colmap],
     /// True if the model takes the coefficients of [`Lens`].
     pub distorted: bool,
@@ -32,7 +32,7 @@ pub struct Definition {
     pub extent_key: Option<&'static str>,
     /// Focal lengths of an image of that width and height where the file states none.
     pub focal: Option<fn(f64, f64) -> [f64; 2]>,
-    /// True if the optical axis tells where the camera looks.
+    /// True if the camera looks along its optical axis; false for panoramas.
     pub directed: bool,
 }
 
@@ -70,8 +70,8 @@ impl<R: Real> LocalRay<R> {
         [self.origin_by, self.direction_by].map(|[x, y]| dot(cross(x, y), self.direction).abs())
     }
 
-    /// The cone of a square part of a pixel of this `side`. Its discs have the area of the part: at distance t the parallelogram
-    /// of ∂(o + t·d)/∂x and ∂(o + t·d)/∂y has the area A + B·t + C·t², which is the disc's of radius √(A/π) + √(C/π)·t if all
+    /// The cone of a square part of a pixel of this `side`. Its discs have the area of the part: at distance t, the parallelogram
+    /// of ∂(o + t·d)/∂x and ∂(o + t·d)/∂y has the area A + B·t + C·t². A disc of radius √(A/π) + √(C/π)·t has that area if all
     /// rays are parallel (B = C = 0) or meet at one point (A = B = 0).
     #[inline]
     pub fn cone(&self, side: R) -> LocalCone<R> {
@@ -109,14 +109,14 @@ pub enum BallImage {
     Within {
         /// Its centre.
         at: [f64; 2],
-        /// Half its side, and a pixel more: an edge may lie between the centres of two.
+        /// Half its side plus one pixel: an edge may lie between the centres of two pixels.
         reach: f64,
     },
 }
 
 /// A camera model. Its functions take the intrinsics, whose `lens` names the model.
 pub trait Projection {
-    /// What files call it.
+    /// Names of the model, and its form in files.
     const DEFINITION: Definition;
 
     /// Intrinsics for examples and tests: a ball of radius 1 at distance 4 ahead lies within the image.
@@ -142,20 +142,20 @@ pub trait Projection {
         distance / (k.fx * k.fy).sqrt()
     }
 
-    /// The length by which a scene around the subject is measured, of a camera at this distance from it.
+    /// Length that sets the scale of a scene, for a camera at this distance from the subject: the distance, unless rays are parallel.
     fn scale(_: &Intrinsics, distance: f64) -> f64 {
         distance
     }
 
-    /// Largest angle between a ray and the optical axis, about.
+    /// Approximate largest angle between a ray and the optical axis.
     fn half_angle(k: &Intrinsics) -> f64 {
         let [x, y] = [f64::from(k.width) / k.fx, f64::from(k.height) / k.fy].map(|extent| 0.5 * extent);
         x.hypot(y).atan()
     }
 }
 
-/// The registry: one line for each model makes the type [`Model`] and its functions. Files of models on other devices follow
-/// the order.
+/// The registry of camera models: generates the type [`Model`] and its functions from one line per model. Other devices number
+/// the models in the same order.
 macro_rules! models {
     ($($file:ident::$model:ident),+ $(,)?) => {
         /// A camera model.
@@ -169,7 +169,7 @@ macro_rules! models {
             /// All models.
             pub const ALL: &[Self] = &[$(Self::$model),+];
 
-            /// What files call it.
+            /// Names of the model, and its form in files.
             pub fn definition(self) -> &'static Definition {
                 match self { $(Self::$model => const { &<$file::$model as Projection>::DEFINITION }),+ }
             }
@@ -202,17 +202,17 @@ macro_rules! models {
                 match self.lens.model { $(Model::$model => $file::$model::ball(self, centre, radius)),+ }
             }
 
-            /// World width of a pixel at a distance; of an image whose pixels differ, that of the widest.
+            /// World width of a pixel at a distance; the widest pixel's if the pixels of the image differ.
             pub fn footprint(&self, distance: f64) -> f64 {
                 match self.lens.model { $(Model::$model => $file::$model::footprint(self, distance)),+ }
             }
 
-            /// The length by which a scene around the subject is measured, of a camera at this distance from it.
+            /// See [`Projection::scale`].
             pub fn scale(&self, distance: f64) -> f64 {
                 match self.lens.model { $(Model::$model => $file::$model::scale(self, distance)),+ }
             }
 
-            /// Largest angle between a ray and the optical axis, about.
+            /// Approximate largest angle between a ray and the optical axis.
             pub fn half_angle(&self) -> f64 {
                 match self.lens.model { $(Model::$model => $file::$model::half_angle(self)),+ }
             }
@@ -234,7 +234,7 @@ impl Default for Model {
 }
 
 impl Model {
-    /// The model that transforms files call by this name, in capitals or not.
+    /// The model with this name in transforms files; upper and lower case are equal.
     pub fn named(name: &str) -> Option<Self> {
         let called =
             |model: &Self| model.definition().file_names.iter().any(|own| own.eq_ignore_ascii_case(name));

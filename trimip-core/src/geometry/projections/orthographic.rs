@@ -6,7 +6,7 @@ use crate::Intrinsics;
 use crate::math::scalar::Real;
 use glam::DVec3;
 
-/// Parallel rays.
+/// The orthographic model, with parallel rays.
 pub struct Orthographic;
 
 /// Directions within this angle of the rays count as looked at, radians.

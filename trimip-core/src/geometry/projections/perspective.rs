@@ -1,5 +1,5 @@
-//! Perspective images: rays meet at one point, and a ray has its image where it meets the plane at distance 1, moved by the
-//! distortion of the lens. Without distortion the camera is a pinhole.
+//! Perspective images: rays meet at one point, and a ray has its image where it meets the plane at distance 1, displaced by
+//! the distortion of the lens. Without distortion the camera is a pinhole.
 
 use super::{BallImage, Colmap, Definition, LocalRay, Projection, dot};
 use crate::Intrinsics;
@@ -57,7 +57,7 @@ impl Projection for Perspective {
         let axis = [x, -y, -R::one()];
         let inverse = dot(axis, axis).sqrt().recip();
         let direction = axis.map(|value| value * inverse);
-        // The part of a derivative along the direction only lengthens it.
+        // The component of a derivative along the direction only changes its length.
         let across = |change: [R; 3]| {
             let along = dot(change, direction);
             std::array::from_fn(|i| (change[i] - along * direction[i]) * inverse)
@@ -127,7 +127,7 @@ pub(super) fn lens_ball(k: &Intrinsics, centre: DVec3, radius: f64) -> BallImage
     if depth <= 2.0 * radius {
         return if depth < -radius { BallImage::None } else { BallImage::Anywhere };
     }
-    // A point of the ball moves the farther, the wider it lies off the axis.
+    // The image of the ball grows with the ball's angle to the optical axis.
     let off_axis = (1.0 + (at.x * at.x + at.y * at.y) / (depth * depth)).sqrt();
     let reach = k.fx.max(k.fy) * radius * off_axis / (depth - radius) + 1.0;
     if k.lens.is_straight() {

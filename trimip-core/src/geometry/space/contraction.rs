@@ -1,5 +1,5 @@
 //! The contraction of mip-NeRF 360 (Barron et al. 2022, Eq. 10): a ball of space keeps its shape, and all of space beyond is
-//! drawn into a shell around it, up to twice its radius. Rays are marched in steps that are about equally long in the
+//! contracted into a shell around the ball, up to twice its radius. Ray marching takes steps that are about equally long in
 //! contracted space. Letters: n = distance to the ball's centre, b = least n along a ray, both in radii.
 
 use crate::math::scalar::Real;
@@ -59,7 +59,7 @@ impl<R: Real> Ball<R> {
         (n * n).recip()
     }
 
-    /// How the parameter of steps along a ray through contracted space follows its distance.
+    /// Map between the distance along a ray and the parameter in which its marching steps are uniform.
     #[inline]
     pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> Curve<R> {
         let u = self.relative(origin);

@@ -20,7 +20,7 @@ use crate::{
 pub struct Space<R> {
     aabb: Aabb<R>,
     inverse_extent: [R; 3],
-    /// What keeps its shape in an unbounded space.
+    /// The ball that keeps its shape in an unbounded space.
     ball: Option<Ball<R>>,
 }
 
@@ -58,7 +58,7 @@ impl<R: Real> Space<R> {
         self.ball.as_ref()
     }
 
-    /// How the parameter of steps along a ray follows its distance.
+    /// Map between the distance along a ray and the parameter in which its marching steps are uniform.
     #[inline]
     pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> RayParameter<R> {
         match &self.ball {
@@ -89,7 +89,7 @@ impl<R: Real> Space<R> {
 
     /// Factor by which the map scales a sphere's radius at a point of the world, in the units of [`aabb`](Self::aabb): the
     /// largest factor of the map's Jacobian. A bounded space keeps radii. Far away, a ray runs nearly along the line to the
-    /// centre, and the largest factor is the one across: that of the pixel's width.
+    /// centre, and the largest factor is the lateral one, which scales the width of a pixel.
     #[inline(always)]
     pub fn scale(&self, point: [R; 3]) -> R {
         self.ball.as_ref().map_or(R::one(), |ball| ball.lateral(point))
@@ -103,8 +103,9 @@ impl<R: Real> Space<R> {
         self.ball.as_ref().map_or(R::one(), |ball| ball.radial(point))
     }
 
-    /// Place and width of a sample along a ray of this parameterisation: the parameter at its distance `t`, at `point`, and what it grows
-    /// by over its `length` in the units of the field's density; both in units of the box's longest side (4 radii of the ball).
+    /// Place and width of a sample along a ray, in units of the box's longest side (4 radii of the ball): the ray's parameter at the
+    /// sample's distance `t`, where it lies at `point`, and the growth of the parameter over its `length`, which is in the units of
+    /// the field's density.
     #[inline(always)]
     pub fn along(&self, parameterisation: &RayParameter<R>, point: [R; 3], t: R, length: R) -> [R; 2] {
         let longest = self.aabb.longest();
@@ -151,7 +152,7 @@ impl Space<f32> {
     }
 }
 
-/// How the parameter of steps along a ray follows its distance t.
+/// Map between the distance t along a ray and the parameter in which its marching steps are uniform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RayParameter<R> {
     /// The parameter is the distance, between those at which the ray enters and leaves the box.

@@ -23,8 +23,8 @@ pub trait Path {
     fn radius(&self, t: f32) -> f32;
     /// Cell of a position.
     fn cell(&self, position: [f32; 3]) -> [u32; 3];
-    /// A parameter up to which, from `s` on, the ray stays within the cube of all cells closer than `distance` cells to `cell`,
-    /// the one of `position` at `s`; before `s` if it may leave at once. Not finite if it cannot be computed.
+    /// A parameter up to which the ray, from `s` on, stays within the cube of all cells closer than `distance` cells to `cell`,
+    /// the cell of `position` at `s`. It lies before `s` if the ray may leave at once, and is not finite if it cannot be computed.
     fn clear(&self, s: f32, position: [f32; 3], cell: [u32; 3], distance: u32) -> f32;
 }
 
@@ -133,7 +133,7 @@ impl Path for ContractedPath {
         self.straight.cell(position)
     }
 
-    /// The ray is a curve in the cube; it cannot move further than [`STRETCH`] times the parameter.
+    /// The ray is a curve in the cube; it moves at most [`STRETCH`] times as far as the parameter grows.
     #[inline(always)]
     fn clear(&self, s: f32, position: [f32; 3], cell: [u32; 3], distance: u32) -> f32 {
         let reach = distance as f32;
@@ -147,8 +147,8 @@ impl Path for ContractedPath {
 }
 
 impl StraightPath {
-    /// Distance up to which the ray stays within the aligned cube of `size` cells that contains `cell`, its cell at some
-    /// distance before; infinite if it cannot be computed.
+    /// Distance up to which the ray stays within the aligned cube of `size` cells that contains `cell`, the ray's cell at
+    /// some earlier distance; infinite if it cannot be computed.
     #[inline(always)]
     pub fn exit(&self, cell: [u32; 3], size: u32) -> f32 {
         self.first_edge(|axis, forward| {
@@ -158,7 +158,7 @@ impl StraightPath {
     }
 
     /// Distance up to which the ray stays within the cube of all cells closer than `distance` cells to `cell`, along each
-    /// axis, likewise.
+    /// axis; infinite if it cannot be computed.
     #[inline(always)]
     pub fn exit_around(&self, cell: [u32; 3], distance: u32) -> f32 {
         let reach = distance as f32;
@@ -168,9 +168,9 @@ impl StraightPath {
         })
     }
 
-    /// Distance of the first edge that the ray reaches, of one across each axis, in cells from the corner of the box; earlier by what
-    /// rounding may move the ray's places. Without that, a ray that is about to cross an edge may have passed it already by this
-    /// reckoning, and would not see it any more.
+    /// Distance at which the ray reaches the first of three edges, one across each axis. `edge` gives them in cells from the corner of
+    /// the box. The distance is reduced by the rounding error of the ray's places: otherwise a ray about to cross an edge could count
+    /// as beyond it already, and miss it.
     #[inline(always)]
     fn first_edge(&self, edge: impl Fn(usize, bool) -> f32) -> f32 {
         let mut exit = f32::INFINITY;
@@ -219,7 +219,7 @@ mod tests {
         assert!((straight.radius(t) - 0.015).abs() < 1e-9);
     }
 
-    /// A straight ray stays in its cell as far as is said, from the very places on where it crosses the edges of cells.
+    /// A straight ray that starts exactly where it crosses the edge of a cell stays in its cell up to the distance of `clear`.
     #[test]
     fn a_ray_at_an_edge_is_never_said_to_stay_beyond_it() {
         let space = Space::of(Aabb { min: [-1.5; 3], max: [1.5; 3] });
@@ -257,7 +257,7 @@ mod tests {
         assert!(at_edges > 5000 && skipped > at_edges, "{skipped} of {at_edges}");
     }
 
-    /// As far as the ray is said to stay within the cells around, it does (10,000 places along each of 200 rays).
+    /// A curved ray stays within the surrounding cells up to the parameter of `clear` (50 places in each stretch of 200 rays).
     #[test]
     fn a_curved_ray_stays_within_the_cells_that_are_said_to_be_clear() {
         let space = Space::contracted(Aabb { min: [-2.0, -1.0, 0.0], max: [2.0, 3.0, 4.0] });

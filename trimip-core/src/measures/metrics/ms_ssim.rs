@@ -33,14 +33,14 @@ pub fn ms_ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: us
             let found = similarity(&image, &target, width, channel, &window, &window);
             let last = scale + 1 == WEIGHTS.len();
             let factor = if last { found.whole } else { found.structure };
-            // What is NaN stays NaN.
+            // NaN stays NaN.
             *product *= if factor < 0.0 { 0.0 } else { factor.powf(weight) };
         }
     }
     products.iter().sum::<f64>() / 3.0
 }
 
-/// Means of 2×2 pixels. Beyond the last row and column lies the same one again.
+/// Means of 2×2 pixels. The last row and column repeat beyond the image.
 fn halved(image: &[[f32; 3]], width: usize) -> Vec<[f32; 3]> {
     let height = image.len() / width;
     let half = |x: usize, y: usize| -> [f32; 3] {
@@ -59,7 +59,7 @@ fn halved(image: &[[f32; 3]], width: usize) -> Vec<[f32; 3]> {
 mod tests {
     use super::*;
 
-    /// Colours of a smooth pattern with some noise, in integers so that other programs have the same.
+    /// Colours of a smooth pattern with some noise, computed in integers so that other programs get the same values.
     fn pattern(width: usize, height: usize, seed: u32) -> Vec<[f32; 3]> {
         let byte = |i: usize, c: u32| {
             let (x, y) = ((i % width) as u32, (i / width) as u32);
@@ -118,7 +118,7 @@ mod tests {
         let (a, b) = (pattern(width, height, 1), pattern(width, height, 3));
         let (found, expected) = (ms_ssim(&a, &b, width, height), literal(&a, &b, width, height));
         assert!((found - expected).abs() < 1e-6, "{found}, not {expected}");
-        // What TensorFlow 2.21 has for these pictures (tf.image.ssim_multiscale), in f32.
+        // The value of TensorFlow 2.21 for these pictures (tf.image.ssim_multiscale), in f32.
         assert!((found - 0.867_602).abs() < 1e-5, "{found}");
     }
 

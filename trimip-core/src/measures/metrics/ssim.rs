@@ -34,7 +34,8 @@ pub(super) fn gaussian(length: usize) -> Vec<f64> {
     taps.into_iter().map(|tap| tap / sum).collect()
 }
 
-/// One channel: five filtered moments (μx, μy, x², y², xy), rows first into a ring of `down.len()` rows.
+/// Similarity of one channel, from five filtered moments (μx, μy, x², y², xy). Rows are filtered first, into a ring of
+/// `down.len()` rows.
 pub(super) fn similarity(
     image: &[[f32; 3]],
     target: &[[f32; 3]],

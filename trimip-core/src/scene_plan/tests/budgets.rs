@@ -1,4 +1,4 @@
-//! Decisions that follow how often a budget sees each pixel.
+//! Decisions that follow the number of rays per pixel within a budget.
 
 use super::{planned, views};
 
@@ -12,7 +12,7 @@ fn pixels_that_a_budget_sees_rarely_are_drawn_by_their_errors() {
         planned(&views, &set).unwrap().0.train.error_map.at(0.5)
     };
     assert_eq!((of(5 * pixels, &[]), of(7 * pixels, &[])), (0.8, 0.0));
-    // Rays of places keep more samples.
+    // Rays in contracted space keep more samples.
     let place = ["scene.contraction=ball", "plan.encoder=off"];
     assert_eq!((of(14 * pixels, &place), of(16 * pixels, &place)), (0.8, 0.0));
     assert_eq!(of(3 * pixels, &["train.error_map=0.3"]), 0.3, "what is given stays");
