@@ -1,10 +1,9 @@
-//! Passes the commit to the program, for the reports: that of the repository, or the one that a package was made of. Without
-//! either it passes nothing.
+//! Passes the commit of the repository, or of the package, to the program for its reports. Passes nothing if neither is known.
 
 use std::path::Path;
 use std::process::Command;
 
-/// What cargo notes of the repository when it makes a package.
+/// File in which cargo records the repository's commit when it makes a package.
 const PACKAGED: &str = ".cargo_vcs_info.json";
 
 fn main() {
@@ -15,7 +14,7 @@ fn main() {
     }
 }
 
-/// The commit in the note of a package, shortened as that of a repository.
+/// The commit recorded in a package, shortened like that of a repository.
 fn of_package() -> Option<String> {
     println!("cargo::rerun-if-changed={PACKAGED}");
     let note = std::fs::read_to_string(PACKAGED).ok()?;
@@ -30,7 +29,7 @@ fn of_repository() -> Option<String> {
     if !repository.exists() || !Path::new("../trimip-core/Cargo.toml").exists() {
         return None;
     }
-    // Files that change when a commit is made or a file is staged. A missing path would rerun the script always.
+    // Files that change when a commit is made or a file is staged. A missing path would rerun the script on every build.
     for path in ["HEAD", "refs/heads", "packed-refs", "index"] {
         if repository.join(path).exists() {
             println!("cargo::rerun-if-changed=../.git/{path}");

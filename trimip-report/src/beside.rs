@@ -1,5 +1,5 @@
-//! Runs side by side on one page: their outcomes, the settings in which they differ, and the test views that all of
-//! them have pictures of, next to the photograph. A curve without a run folder contributes only its name.
+//! Runs side by side on one page: their outcomes, the settings that differ, and the photographs and renderings of the
+//! test views that all runs have pictures of. A curve without a run folder contributes only its name.
 
 use super::{page::escape, page::table, pictures};
 use serde_json::Value;
@@ -24,7 +24,7 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Its `report.json`; null if it cannot be read.
+    /// Reads the `report.json` of the folder; null if that fails.
     fn report(&self) -> Value {
         let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
         text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()

@@ -1,4 +1,4 @@
-//! Text inside of HTML and SVG.
+//! Escaping of text in HTML and SVG.
 
 /// Escapes text for HTML.
 pub fn escape(text: &str) -> String {

@@ -83,7 +83,7 @@ fn head(report: &Report<'_>) -> String {
     )
 }
 
-/// What was measured, by which command, version and when. One row for each session with different values.
+/// The measured views, one row per command of a session, and the version and end time of the last session.
 fn origin(report: &Report<'_>) -> String {
     let mut rows = vec![("measured on", report.views_measured())];
     let sessions: Vec<_> = report.history.parts.iter().map(|part| &part.provenance).collect();
@@ -137,7 +137,7 @@ fn quality(report: &Report<'_>) -> String {
 const MEASURES: [&str; 8] =
     ["scale", "images", "PSNR / dB", "least – greatest", "SSIM", "MS-SSIM", "FLIP", "LPIPS"];
 
-/// Columns of the table below it.
+/// Columns of the folded table of other kinds of PSNR.
 const OTHER_KINDS: [&str; 7] =
     ["scale", "plain", "box filter", "at 8 bits", "own exposure", "on opposite", "mean colour"];
 

@@ -1,5 +1,5 @@
-//! Pages, one self-contained HTML file each: the report of a run, an inspected capture, compared runs and systems, and the parts
-//! that they share with the pages of other programs.
+//! Pages as self-contained HTML files: the report of a run, an inspected capture, compared runs and systems. Also the parts that
+//! these pages share with those of other programs.
 
 #![forbid(unsafe_code)]
 
@@ -22,7 +22,7 @@ use trimip_core::atomic::write_atomically;
 /// Writes all files of a run's report, the page last. A finished run gets its strip of views first.
 ///
 /// # Errors
-/// When the strip cannot be rendered or a file not written.
+/// When the strip cannot be rendered, or a file cannot be written.
 pub fn write(run: &Recorded) -> Result<()> {
     let drawn = match run.status {
         Status::Finished => turntable::draw(run),

@@ -63,7 +63,7 @@ pub fn plot(title: &str, lines: &[Line], note: &str) -> String {
 /// Asserts that `page` is self-contained: it fetches nothing, and every opened element is closed. For tests of pages.
 ///
 /// # Panics
-/// If it is not.
+/// If the page is not self-contained.
 pub fn expect_whole(page: &str) {
     assert!(page.starts_with("<!doctype html>") && page.ends_with("</html>\n"));
     for fetching in ["http:", "https:", "@import", "url(", "<link"] {

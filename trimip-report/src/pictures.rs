@@ -1,4 +1,4 @@
-//! Pictures of test views in the report: the worst and the best, then evenly spaced ones. A figure holds rendering,
+//! Pictures of test views in the report: the worst and the best, then evenly spaced ones. A figure contains rendering,
 //! photograph, difference and FLIP error; the page's script adds a slider to the first two.
 
 use super::{difference, page, page::escape};
@@ -13,16 +13,16 @@ use trimip::{Error, Result, RunFolder, run::store::ViewRecord, view::pictures};
 const LONGEST: u32 = 1024;
 /// Below this width, pixels, a picture is enlarged without smoothing.
 const SQUARES: u32 = 200;
-/// A larger PNG is embedded as JPEG, so that a page of six views stays small enough to mail.
+/// Largest embedded PNG, bytes. A larger one is replaced by a JPEG, so that a page of six views stays small enough to mail.
 const MOST_PNG_BYTES: usize = 400_000;
 /// Quality of these JPEGs. Their error is about a tenth of that of good renderings.
 const JPEG_QUALITY: u8 = 92;
-/// Quality of thumbnails, which show what is there and measure nothing.
+/// JPEG quality of thumbnails, which need no fine detail.
 const THUMBNAIL_QUALITY: u8 = 84;
 /// Number of views listed as the worst and as the best.
 const NAMED: usize = 5;
 
-/// The strip of views of the model of the run folder `root`, and how to turn it; empty without the picture.
+/// The strip of views of the model in the run folder `root`, and the command to view it; empty without the picture.
 pub fn strip(root: &Path, scene: &SceneConfig) -> Result<String> {
     let (heading, alt) = match scene.contraction {
         Contraction::None => ("From all around", "eight views around the model"),
@@ -37,10 +37,10 @@ pub fn strip(root: &Path, scene: &SceneConfig) -> Result<String> {
     ))
 }
 
-/// Name of a measure of perception, and its value of a view.
+/// Name of a perceptual measure, and its value for a view.
 type PerceptualScores = (&'static str, fn(&ViewRecord) -> Option<f64>);
 
-/// The measures of perception, which some views have.
+/// The perceptual measures, which only some views have.
 const PERCEPTION: [PerceptualScores; 3] =
     [("MS-SSIM", |view| view.ms_ssim), ("FLIP", |view| view.flip), ("LPIPS", |view| view.lpips)];
 
@@ -128,7 +128,8 @@ fn measure(value: Option<f64>, digits: usize) -> String {
     value.map_or("no number".into(), |value| format!("{value:.digits$}"))
 }
 
-/// A figure of rendering, photograph, difference and, if there is one, the map of FLIP errors, with `title` before its caption; empty if the picture is missing.
+/// A figure of rendering, photograph, difference and, if present, the map of FLIP errors, with `title` before its caption; empty if the
+/// picture is missing.
 fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
     let Some([rendered, photograph]) = compared(images, view) else { return Ok(String::new()) };
     let heat = difference::map(&rendered, &photograph);

@@ -1,4 +1,4 @@
-//! The settings in the report: first those that were chosen, then, folded, those with their defaults.
+//! The settings in the report: first the chosen ones, then, folded, those at their defaults.
 
 use super::page::escape;
 use trimip::settings::{SettingRow, rows};

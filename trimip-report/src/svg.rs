@@ -9,7 +9,7 @@ use trimip::{report::scale_name, run::history::Evaluation};
 /// Width and height of a drawing, pixels.
 type Size = [f64; 2];
 
-/// The drawing for wide windows and files, and that for a telephone.
+/// Size of the drawing for wide windows and files, and of the one for telephones.
 const WIDE: Size = [960.0, 440.0];
 const NARROW: Size = [420.0, 340.0];
 
@@ -22,7 +22,7 @@ const BOTTOM: f64 = 48.0;
 pub const COLORS: [&str; 8] =
     ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#a6761d"];
 
-/// Class of a dashed line: the same colours again, for more lines than there are colours.
+/// Class of a dashed line. Dashed lines reuse the colours when there are more lines than colours.
 pub const DASHED: &str = "dashed";
 
 /// An axis: the range of its values and the pixels it covers.
@@ -150,8 +150,8 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     lines
 }
 
-/// A plot for a page, which adds colours and a [`legend`], drawn twice: for wide windows and for a telephone, of which the page shows
-/// one. `None` if there is nothing to draw.
+/// A plot for a page, which adds colours and a [`legend`]. It is drawn twice, for wide windows and for telephones, and the page shows one
+/// of the two. `None` if there is nothing to draw.
 pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
     let drawn = |class: &str, size: Size| {
         let [width, height] = size;
@@ -185,8 +185,8 @@ fn named(lines: &[Line]) -> Vec<&Line> {
 /// Title of a horizontal axis of training time.
 pub const TRAINING: &str = "training time / s";
 
-/// A standalone plot with a legend on logarithmic time, whose axis has the title `time`; `None` if there is nothing to
-/// draw.
+/// A standalone plot with a legend; its horizontal axis is logarithmic time with the title `time`. `None` if there is
+/// nothing to draw.
 pub fn alone(lines: &[Line], time: &str) -> Option<String> {
     let style = "text { font: 13px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; fill: #1b1f24; } \
                  text.faint { fill: #606a76; } .grid { stroke: #dde2e8; } \
@@ -225,7 +225,7 @@ fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
     let (left, right) = (LEFT + 14.0, WIDE[0] - RIGHT - 14.0 - width);
     let (top, bottom) = (TOP + 16.0, WIDE[1] - BOTTOM - height);
     let place = |p: &Point| [x.place(p.seconds), y.place(p.psnr)];
-    // Points, and places between them, for a line is to stay in sight too.
+    // Points, and positions between them: the legend avoids the lines too.
     let mut drawn: Vec<[f64; 2]> = Vec::new();
     for line in lines {
         let points: Vec<_> = line.points.iter().filter(|p| p.drawn()).map(place).collect();
@@ -244,7 +244,7 @@ fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
         };
         drawn.iter().filter(inside).count()
     };
-    // The first of several equal ones.
+    // Of equal corners, the first wins.
     [[left, top], [right, bottom], [left, bottom], [right, top]].into_iter().min_by_key(covered)
 }
 
@@ -378,7 +378,7 @@ mod tests {
             ring: None,
         };
         let svg = alone(&[line("one & two", 20.0), line("three", f64::NAN)], TRAINING).unwrap();
-        // The legend leaves the corner of the points.
+        // The legend avoids the corner with the points.
         let place = |seconds: [f64; 2], psnr: [f64; 2]| {
             let point = |i: usize| Point { seconds: seconds[i], psnr: psnr[i], hint: String::new() };
             let points = vec![point(0), point(1)];

@@ -12,11 +12,11 @@ const SIDE: u32 = 192;
 /// A strip that takes longer is left out: views of some models take minutes.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// Writes the strip of a finished model, unless it is there, or the run asks for no evaluation at its end. A report without it is
-/// complete.
+/// Writes the strip of a finished model, unless the file exists or the settings ask for no pictures or no final evaluation. A
+/// report without the strip is complete.
 ///
 /// # Errors
-/// When the model cannot be loaded or rendered, or the picture not written.
+/// When the model cannot be loaded or rendered, or the picture cannot be written.
 pub fn draw(run: &Recorded) -> Result<()> {
     let (folder, config) = (&run.folder, &run.config);
     let path = folder.turntable();
@@ -24,7 +24,7 @@ pub fn draw(run: &Recorded) -> Result<()> {
         return Ok(());
     }
     let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
-    // Without them the strip of a place is that of an object.
+    // Without these cameras, the strip of an unbounded scene circles it like an object.
     let photographed =
         training_cameras(folder.root(), LocalOrigin::of(&config.data)).ok().flatten().unwrap_or_default();
     let cameras = strip::cameras(&config.scene, &photographed, SIDE)?;

@@ -15,7 +15,7 @@ use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, WgpuCo
 /// Opens a session that ranks share.
 type TrainOver = fn(&Config, ViewSet, Arc<dyn Ranks>) -> Result<Box<dyn Session>>;
 
-/// A registered backend. A `Rank` is this process among those on its machine.
+/// A registered backend. A `Rank` argument is the rank of this process on its machine.
 struct Entry {
     name: &'static str,
     /// The settings of the backend.
@@ -145,7 +145,7 @@ pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     train_beside(config, views, Rank::ONLY)
 }
 
-/// As [`train`], in a process that is `near` among those on its machine: each uses another of the devices that are as good.
+/// As [`train`], in a process with the rank `near` on its machine. Each process uses another of the equally good devices.
 ///
 /// # Errors
 /// As [`train`].
@@ -153,10 +153,10 @@ pub fn train_beside(config: &Config, views: ViewSet, near: Rank) -> Result<Box<d
     (entry(&config.backend)?.train)(config, views, near)
 }
 
-/// As [`train`], together with other ranks: each has to make the call, with the same configuration and views.
+/// As [`train`], together with other ranks. Every rank has to call this function, with the same configuration and views.
 ///
 /// # Errors
-/// As [`train`], and when the backend cannot be divided among so many.
+/// As [`train`], and when the backend cannot be divided among that many ranks.
 pub fn train_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Result<Box<dyn Session>> {
     (entry(&config.backend)?.train_over)(config, views, ranks)
 }
@@ -169,7 +169,7 @@ pub fn load(model: &Model) -> Result<Box<dyn Viewer>> {
     load_beside(model, Rank::ONLY)
 }
 
-/// As [`load`], in a process that is `near` among those on its machine, as [`train_beside`] does.
+/// As [`load`], in a process with the rank `near` on its machine; see [`train_beside`].
 ///
 /// # Errors
 /// As [`load`].
@@ -182,8 +182,8 @@ pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     entry(&config.backend).map_or_else(|_| Vec::new(), |entry| (entry.memory)(config, views))
 }
 
-/// Describes the device and the instructions that the configured backend computes with, in a process that is `near` among those on
-/// its machine.
+/// Describes the device and the instructions that the configured backend computes with, in a process with the rank `near` on its
+/// machine.
 ///
 /// # Errors
 /// When the backend or its device does not exist.
@@ -203,8 +203,8 @@ pub trait Visitor {
     fn visit<B: Backend>(self, open: &dyn Fn() -> Result<B>) -> Result<Self::Output>;
 }
 
-/// Runs `visitor` on the backend `name`, on the adapter whose name contains `adapter` or with `threads` threads (0: all
-/// cores).
+/// Runs `visitor` on the backend `name`, on the adapter whose name contains `adapter` or with `threads` threads (0: one
+/// per core).
 ///
 /// # Errors
 /// When the backend does not exist, or the work fails.

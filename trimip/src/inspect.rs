@@ -1,23 +1,23 @@
-//! What is understood of a capture before it is trained: the scene in words, the planned space, and the checks of poses,
-//! exposures and boxes. No device is used.
+//! Inspection of a capture before training: describes the scene, plans its space, and checks poses, exposures and boxes. No device
+//! is used.
 
 use trimip_core::scene_plan::{self, Compute, Facts, Finding};
 use trimip_core::{Config, Result, Settings, Space};
 use trimip_data::checks::{self, Check, Subject};
 use trimip_data::{Scene, Watch, examine};
 
-/// A capture as it is understood.
+/// An inspected capture.
 #[derive(Debug)]
 pub struct Inspection {
     /// The scene, in words and as data.
     pub seen: trimip_data::Inspection,
     /// The planned space, world units.
     pub space: Space<f64>,
-    /// How it was decided; `None` if the settings do not allow it, which a warning tells.
+    /// How the space was decided; `None` if planning failed, which a warning reports.
     pub plan: Option<Finding>,
     /// Warnings about the plan.
     pub warnings: Vec<String>,
-    /// What was checked.
+    /// The checks with their results.
     pub checks: Vec<Check>,
 }
 
@@ -49,7 +49,7 @@ pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     Ok(Inspection { seen, space, plan, warnings, checks })
 }
 
-/// What is checked of a scene.
+/// The parts of a scene that are checked.
 fn subject<'a>(scene: &'a Scene, space: &'a Space<f64>) -> Subject<'a> {
     Subject {
         train: &scene.train,

@@ -8,7 +8,8 @@
 //! - models: [`read_model`] and [`model::Model::write`] load and save a model, [`backends::load`] opens a [`Viewer`];
 //! - pictures: [`Viewer::render`] returns a [`Frame`], [`view::write`] writes it as PNG or EXR;
 //! - metrics: [`view::evaluate`] compares a model with its test photographs;
-//! - systems: [`systems`] are settings of Tri-MipRF and the systems beside it, [`paper`] their figures in the paper's tables.
+//! - systems: [`systems`] are the settings of Tri-MipRF and of the systems compared with it, [`paper`] arranges their figures in
+//!   the paper's tables.
 //!
 //! ```
 //! # fn main() -> trimip::Result<()> {

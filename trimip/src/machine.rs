@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Version of the program, with the commit if it was built in its repository.
+/// Version of the program, with the commit if the build found one.
 pub fn version() -> String {
     match option_env!("TRIMIP_COMMIT") {
         Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),
@@ -52,8 +52,8 @@ pub fn peak_memory() -> Option<u64> {
     kilobytes(&read("/proc/self/status"), "VmHWM:")
 }
 
-/// Forgets the peak of [`peak_memory`], so that it is that of what follows. Where the system cannot do that, the peak stays
-/// that of the whole process; false then.
+/// Resets the peak of [`peak_memory`], so that it covers only what follows. Returns false where the system cannot do that; the peak
+/// then remains that of the whole process.
 pub fn reset_peak_memory() -> bool {
     std::fs::write("/proc/self/clear_refs", "5").is_ok()
 }
@@ -139,7 +139,7 @@ mod tests {
         let before = peak_memory().unwrap();
         assert!(before > large.len() as u64);
         drop(large);
-        // A container may forbid it.
+        // A container may forbid the reset.
         if reset_peak_memory() {
             assert!(peak_memory().unwrap() < before);
         }

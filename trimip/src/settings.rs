@@ -1,6 +1,6 @@
-//! The settings of this build: core's, and those that the readers of photographs and the backends own. Settings of a trained
-//! model, and the printed form of settings: aligned `key = value` lines with the meaning and origin of each value, in the
-//! order of the table of defaults.
+//! The settings of this build: those of core, of the readers of photographs and of the backends. Also overrides of a trained
+//! model's settings, and the printed form of settings: aligned `key = value` lines with the meaning and origin of each value, in
+//! the order of the table of defaults.
 
 use crate::backends;
 use std::sync::{Arc, LazyLock};
@@ -196,7 +196,7 @@ mod tests {
                         convention edge_exponents background builtin_size builtin_train builtin_test \
                         builtin_supersampling builtin_finish most_pixels pixels";
         assert_eq!(keys, expected.split_whitespace().collect::<Vec<_>>());
-        // Core alone reads and writes the same text, without a definition of what others own.
+        // Core alone reads and writes the same text, without definitions of the other crates' settings.
         assert_eq!(Config::from_toml("model", &text).unwrap().to_toml(), text);
     }
 }

@@ -1,5 +1,4 @@
-//! The checks of a capture on its page: what is suspicious with what to do, all checks with their limits, and the figures of
-//! every view.
+//! The checks of a capture on its page: suspicious checks with advice, all checks with their limits, and the figures of every view.
 
 use super::super::page::{escape, table};
 use super::space::number;

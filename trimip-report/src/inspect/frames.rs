@@ -1,4 +1,4 @@
-//! Thumbnails of frames, evenly spread, and of those that are suspicious. What is transparent or masked is a checkerboard.
+//! Thumbnails of evenly spread frames and of suspicious ones. Transparent and masked pixels show a checkerboard.
 
 use super::super::{page::escape, pictures};
 use image::{Rgb, RgbImage, imageops};
@@ -7,20 +7,20 @@ use trimip::data::checks::{coarsest, stops};
 use trimip::inspect::Inspection;
 use trimip::{Alpha, Camera, Result, ViewSet};
 
-/// Frames shown, evenly spread, and suspicious ones beside them.
+/// Number of evenly spread frames shown, and maximum number of suspicious frames in addition.
 const SPREAD: usize = 24;
 const SUSPICIOUS: usize = 12;
 
 /// Longest side of a thumbnail, pixels.
 const LONGEST: u32 = 200;
 
-/// Smallest side of the image that a thumbnail is made of, pixels, if there is one.
+/// Minimum side of the image that a thumbnail is made from, pixels; without such a scale the finest one is used.
 const SOURCE: u32 = 150;
 
 /// Squares of the checkerboard along the longer side.
 const SQUARES: u32 = 24;
 
-/// The two colours of the board: grey for empty space, red for what is ignored.
+/// The two colours of the board: grey for transparent pixels, red for masked ones.
 const EMPTY: [[u8; 3]; 2] = [[255, 255, 255], [204, 204, 204]];
 const IGNORED: [[u8; 3]; 2] = [[250, 205, 205], [226, 150, 150]];
 

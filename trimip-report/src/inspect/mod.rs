@@ -1,5 +1,5 @@
-//! The page of an inspected capture: what was understood of it, cameras and box from three sides, thumbnails, warnings and
-//! checks, as one self-contained file.
+//! The page of an inspected capture, one self-contained file: a summary, cameras and box from three sides, thumbnails, warnings and
+//! checks.
 
 mod checks;
 mod frames;
@@ -23,7 +23,7 @@ pub fn page(seen: &Inspection) -> Result<String> {
     page_with(seen, &[])
 }
 
-/// The whole page, with pictures that have no camera.
+/// The whole page, including pictures without a camera.
 ///
 /// # Errors
 /// When a test photograph cannot be read.
@@ -40,7 +40,7 @@ pub fn page_with(seen: &Inspection, unplaced: &[UnplacedPicture]) -> Result<Stri
     Ok(page::whole(&format!("{} – Tri-MipRF capture", seen.seen.scene.name), &content.concat()))
 }
 
-/// What is suspicious of each training view that is.
+/// The suspicious figures of training views, by index of the view.
 fn doubts(seen: &Inspection) -> HashMap<usize, Vec<String>> {
     let mut doubts: HashMap<usize, Vec<String>> = HashMap::new();
     for check in &seen.checks {
@@ -93,7 +93,7 @@ fn head(seen: &Inspection) -> String {
     )
 }
 
-/// What was dropped and why, and everything else that the readers warn of.
+/// Warnings of the readers, such as what they dropped and why, and of the plan.
 fn left_out(seen: &Inspection) -> String {
     let warnings = seen.seen.scene.warnings.iter().chain(&seen.warnings);
     let items: String = warnings.map(|warning| format!("<li>{}</li>", escape(warning))).collect();
@@ -122,7 +122,7 @@ mod tests {
         inspect(small.unwrap(), &unwatched).unwrap()
     }
 
-    /// The page without the data of its pictures, which are any letters.
+    /// The page without the base64 data of its pictures, which could match any text.
     fn told(page: &str) -> String {
         let parts = page.split("base64,").enumerate();
         let kept = parts.map(|(i, part)| if i == 0 { part } else { &part[part.find('"').unwrap()..] });

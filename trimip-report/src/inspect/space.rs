@@ -6,28 +6,28 @@ use std::collections::HashMap;
 use trimip::Camera;
 use trimip::inspect::Inspection;
 
-/// Side of a drawing and its margins for labels, in its own units.
+/// Side of a drawing and its margins for labels, SVG units.
 const SIDE: f64 = 440.0;
 const LEFT: f64 = 46.0;
 const BOTTOM: f64 = 34.0;
 
-/// Most points and cameras drawn, evenly thinned.
+/// Maximum number of points and of cameras drawn; more are thinned evenly.
 const MOST_POINTS: usize = 3000;
 const MOST_CAMERAS: usize = 400;
 
-/// Length of a frustum as a share of the drawing.
+/// Length of a frustum relative to half the side of the drawn cube.
 const FRUSTUM: f64 = 0.06;
 
-/// Widest drawn tangent of half the angle of view: a fisheye's frustum would have no end.
+/// Maximum drawn tangent of half the angle of view; a fisheye's frustum would be unbounded.
 const WIDEST: f64 = 1.5;
 
-/// The directions to the right and upwards in each drawing, and what it is called.
+/// The axes to the right and upwards in each drawing, and its title.
 const SIDES: [([usize; 2], &str); 3] =
     [([0, 1], "along z, from above"), ([0, 2], "along y, from −y"), ([1, 2], "along x, from +x")];
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// What is drawn of a camera.
+/// A camera as drawn.
 struct DrawnCamera<'a> {
     name: &'a str,
     camera: &'a Camera,
@@ -44,7 +44,7 @@ struct Frame {
 }
 
 impl Frame {
-    /// Place of a point in a drawing.
+    /// Position of a point in a drawing.
     fn place(&self, [right, up]: [usize; 2], at: DVec3) -> [f64; 2] {
         let (width, height) = (SIDE - LEFT, SIDE - BOTTOM);
         let scale = 0.5 * width.min(height) / self.half;
@@ -76,7 +76,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
     let stride = all.len().div_ceil(MOST_CAMERAS).max(1);
     let thinned = |(i, drawn): &(usize, DrawnCamera<'_>)| i % stride == 0 || drawn.class == "doubt";
     let total = all.len();
-    // Doubted cameras last: nothing covers them.
+    // Suspicious cameras are drawn last, so that nothing covers them.
     let mut drawn: Vec<DrawnCamera<'_>> =
         all.into_iter().enumerate().filter(thinned).map(|(_, drawn)| drawn).collect();
     drawn.sort_by_key(|drawn| drawn.class == "doubt");
@@ -124,7 +124,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
     )
 }
 
-/// The cube that holds the cameras and the planned space; `None` if nothing has a finite size.
+/// The cube that contains the cameras and the planned space; `None` if nothing has a finite size.
 fn frame(seen: &Inspection, drawn: &[DrawnCamera<'_>]) -> Option<Frame> {
     let space = match seen.space.ball() {
         Some(ball) => {
@@ -139,13 +139,13 @@ fn frame(seen: &Inspection, drawn: &[DrawnCamera<'_>]) -> Option<Frame> {
     (half.is_normal() && !drawn.is_empty()).then_some(Frame { centre: 0.5 * (low + high), half })
 }
 
-/// Lines at round numbers, with their numbers and the names of the axes.
+/// Grid lines at round values, with their labels and the names of the axes.
 fn grid(frame: &Frame, [right, up]: [usize; 2]) -> String {
     let step = round_step(2.0 * frame.half / 5.0);
     let digits = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
     let ticks = |axis: usize| {
         let [low, high] = [-1.0, 1.0].map(|side| (frame.centre[axis] + side * frame.half) / step);
-        // Far from the origin, numbers may be too coarse for steps.
+        // Far from the origin, f64 may be too coarse for the steps, so the number of ticks is bounded.
         (0..12).map(move |i| (low.ceil() + f64::from(i)) * step).filter(move |tick| *tick <= high * step)
     };
     let bottom = SIDE - BOTTOM;
@@ -196,7 +196,7 @@ fn points(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
     all.iter().step_by(stride).filter_map(dot).collect()
 }
 
-/// A camera as the pyramid of what it sees.
+/// A camera as the pyramid of its field of view.
 fn frustum(frame: &Frame, axes: [usize; 2], drawn: &DrawnCamera<'_>) -> String {
     let (camera, k) = (drawn.camera, &drawn.camera.intrinsics);
     let length = FRUSTUM * frame.half;
@@ -250,7 +250,7 @@ fn outline(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
     )
 }
 
-/// A length in three figures.
+/// A length with three significant figures.
 pub fn number(value: f64) -> String {
     if !value.is_finite() {
         return "–".into();

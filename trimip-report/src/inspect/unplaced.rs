@@ -1,11 +1,11 @@
-//! Pictures of a capture that have no camera: thumbnails with the reason of each.
+//! Pictures of a capture that have no camera: thumbnails with reasons.
 
 use super::super::{page::escape, pictures};
 use image::RgbImage;
 use std::path::PathBuf;
 use trimip::{Result, formatting::count};
 
-/// Pictures with a thumbnail; the others are listed.
+/// Maximum number of thumbnails; further pictures are listed by name.
 const SHOWN: usize = 60;
 
 /// Longest side of a thumbnail, pixels.
@@ -17,7 +17,7 @@ pub struct UnplacedPicture {
     pub name: String,
     /// Its file, if it can be shown.
     pub path: Option<PathBuf>,
-    /// Why it has none.
+    /// Why it has no camera.
     pub reason: String,
 }
 

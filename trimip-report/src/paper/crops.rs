@@ -1,5 +1,5 @@
-//! The same places of the same test views in all systems, at every scale, with maps of their errors. The place is the part of
-//! the photograph with the most detail, so no system chooses it.
+//! Crops of the same parts of the same test views by all systems, at every scale, with error maps. A crop is the part of the
+//! photograph with the most detail, so its choice depends on no system.
 
 use super::look::mark;
 use crate::{difference, page::escape, pictures};
@@ -11,13 +11,13 @@ use trimip::run::store::{FileStore, ViewRecord};
 use trimip::systems::System;
 use trimip::{Result, RunFolder};
 
-/// Views shown of each scene, for one scene and for several.
+/// Number of views shown per scene: with one scene, with several.
 const VIEWS: [usize; 2] = [2, 1];
-/// A crop has this part of the view's sides.
+/// Ratio of the sides of a view to those of its crop.
 const PART: u32 = 4;
 /// Smallest side of a crop at the finest scale, pixels.
 const LEAST: u32 = 32;
-/// Pixels of the finest scale between places that are compared: whole pixels at every scale.
+/// Distance between candidate crops in pixels of the finest scale: whole pixels at every scale.
 const STEP: u32 = 8;
 /// Longest side of the small view that shows where a crop is, pixels.
 const SMALL: u32 = 300;
@@ -32,7 +32,7 @@ struct Crop {
 }
 
 impl Crop {
-    /// The part of a picture that is `scale` times as coarse as the finest.
+    /// Crops a picture that is `scale` times as coarse as the finest scale.
     fn of(self, picture: &RgbImage, scale: u32) -> RgbImage {
         let side = |side: u32| (side / scale).max(1);
         let (x, y) = (self.x / scale, self.y / scale);
@@ -86,7 +86,7 @@ pub fn section(comparison: &Comparison, scales: Scales) -> Result<String> {
     ))
 }
 
-/// The systems with pictures of a scene, by their first run that has any.
+/// The systems with pictures of a scene, each from its first run that has any.
 fn shown(comparison: &Comparison, scales: Scales, scene: &str) -> Vec<Shown> {
     let of = |system: &&'static System| {
         comparison
@@ -103,7 +103,7 @@ fn shown(comparison: &Comparison, scales: Scales, scene: &str) -> Vec<Shown> {
     comparison.systems.iter().filter_map(of).collect()
 }
 
-/// The crops of a view: a row a scale, a column a system.
+/// The crops of a view: one row per scale, one column per system.
 fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
     let Some([_, photograph]) = shown.first().and_then(|first| first.pictures(view.index, view.scale)) else {
         return Ok(String::new());
@@ -156,7 +156,7 @@ fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
     ))
 }
 
-/// The whole photograph, small, with a frame around the place.
+/// A small version of the whole photograph with a frame around the crop.
 fn whereabouts(photograph: &RgbImage, place: Crop) -> Result<String> {
     let (width, height) = photograph.dimensions();
     let fraction = |part: u32, whole: u32| 100.0 * f64::from(part) / f64::from(whole.max(1));
@@ -179,7 +179,7 @@ fn most_detail(photograph: &RgbImage) -> Crop {
     let side = |side: u32| (side / PART / STEP * STEP).max(LEAST).min(side);
     let (w, h) = (side(width), side(height));
     let level = |x: u32, y: u32| photograph.get_pixel(x, y).0.iter().map(|&c| u64::from(c)).sum::<u64>();
-    // Sums over rectangles from the corner.
+    // Summed-area table of the differences.
     let row = width as usize + 1;
     let mut sums = vec![0_u64; row * (height as usize + 1)];
     for y in 0..height {
@@ -197,7 +197,7 @@ fn most_detail(photograph: &RgbImage) -> Crop {
     };
     let starts = |side: u32, part: u32| (0..=(side - part) / STEP).map(|i| i * STEP);
     let places = starts(height, h).flat_map(|y| starts(width, w).map(move |x| (x, y)));
-    // The first of equal ones.
+    // Of equal sums, the first wins.
     let best = places
         .fold((0, 0), |best, place| if sum(place.0, place.1) > sum(best.0, best.1) { place } else { best });
     Crop { x: best.0, y: best.1, width: w, height: h }

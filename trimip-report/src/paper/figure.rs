@@ -1,5 +1,5 @@
-//! The paper's Figure 1 in kind: quality against time as curves, and quality against time and size as points. What was
-//! measured here and what was published have panels of their own, with one scale of quality.
+//! Plots like the paper's Figure 1: quality against time as curves, and quality against time and size as points.
+//! Measured and published figures have separate panels with the same range of quality.
 
 use super::look::{headline, look};
 use super::scatter::{Mark, panel, range};
@@ -13,7 +13,7 @@ use trimip::systems::{
     published::{PUBLISHED, Published},
 };
 
-/// The curves of all systems: one a system where its runs have equally many points, else one a run.
+/// The curves of all systems: one per system if all its runs are measured, otherwise one per run.
 pub fn curves(comparison: &Comparison, scales: Scales) -> String {
     let lines: Vec<Line> =
         comparison.systems.iter().flat_map(|system| lines(comparison, scales, system)).collect();
@@ -54,7 +54,7 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
             (false, true) => DASHED,
         },
         points: points.iter().map(|m| point(m, of)).collect(),
-        // If it is the end of the curve, it is already drawn.
+        // No ring if the curve already ends at this point.
         ring: (!points.last().is_some_and(|last| same(last, &end)))
             .then(|| point(&end, &format!("{of}, all measured views"))),
     };
@@ -123,7 +123,7 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
     };
     let mut panels =
         figure("Measured here", &size[0], "model / MB") + &figure("Published", &size[1], "model / MB");
-    // At equal time the curves say all, and the points would stand above each other.
+    // With equal training times the points would lie above each other, and the curves show the same.
     let ends = || time[0].iter().map(|mark| mark.x);
     let apart = ends().fold(0.0, f64::max) > 1.1 * ends().fold(f64::INFINITY, f64::min);
     if apart {

@@ -1,10 +1,10 @@
-//! How the page shows a system, and which rows stand for all scenes.
+//! How the page marks a system, and which rows summarise all scenes.
 
 use crate::svg::{COLORS, DASHED};
 use trimip::paper::{Comparison, Scales, TableRow};
 use trimip::systems::SYSTEMS;
 
-/// Colour of a system, and whether its lines are dashed. Both stay the same whatever systems a page has.
+/// Colour of a system, and whether its lines are dashed. Both are the same on every page.
 pub fn look(system: &str) -> (&'static str, bool) {
     let place = SYSTEMS.iter().position(|own| own.name == system).unwrap_or(0);
     (COLORS[place % COLORS.len()], place >= COLORS.len())
@@ -17,7 +17,7 @@ pub fn mark(system: &str) -> String {
     format!("<i class=\"mark{dashed}\" style=\"color:{color}\"></i>")
 }
 
-/// The rows that stand for all scenes: those of the only scene, or the means.
+/// The rows that summarise all scenes: those of the only scene, or the means.
 pub fn headline(comparison: &Comparison, scales: Scales) -> Vec<TableRow> {
     match &comparison.scenes[..] {
         [scene] => comparison.scene_rows(scales, scene),

@@ -1,5 +1,5 @@
-//! `paper.html`: systems beside each other on one self-contained page: curves, points of quality against size and time, the
-//! tables, crops of the same places, and the published figures, drawn apart.
+//! `paper.html`: systems compared on one self-contained page: curves, points of quality against size and time, tables, crops of the
+//! same parts, and the published figures in panels and tables of their own.
 
 mod crops;
 mod figure;
@@ -21,7 +21,7 @@ use trimip::{Result, config::Convention, machine};
 pub fn page(comparison: &Comparison) -> Result<String> {
     let mut content = vec![head(comparison), state(comparison)];
     let all = &comparison.scales;
-    // One plot with a choice of its axis has room on a page; the first table is the one it belongs to.
+    // The switch of the time axis works for one plot per page, so only the first table gets curves.
     content.extend(all.first().map(|&scales| figure::curves(comparison, scales)));
     content.extend(all.iter().map(|&scales| figure::points(comparison, scales)));
     content.extend(all.iter().map(|&scales| tables::measured(comparison, scales)));
@@ -46,7 +46,7 @@ fn head(comparison: &Comparison) -> String {
     ];
     let best = comparison.scales.first().and_then(|&scales| {
         let rows = headline(comparison, scales).into_iter();
-        // A mean of fewer scenes is no rival.
+        // Means over only some of the scenes do not compete.
         let whole = rows.filter(|row| row.scenes[0] == row.scenes[1] && row.cell.psnr.is_finite());
         whole.max_by(|a, b| a.cell.psnr.total_cmp(&b.cell.psnr))
     });
@@ -85,7 +85,7 @@ fn head(comparison: &Comparison) -> String {
     )
 }
 
-/// What failed, and what is not run yet.
+/// Failed runs, and the number of pending ones.
 fn state(comparison: &Comparison) -> String {
     let mut items = String::new();
     for (run, reason) in comparison.failed() {
@@ -119,7 +119,7 @@ fn remarks() -> String {
     )
 }
 
-/// Views, background and convention of what was measured here.
+/// Views, background and convention of the measurements made here.
 fn measure(comparison: &Comparison) -> String {
     let figures: Vec<&Figures> = comparison.runs.iter().filter_map(|run| run.figures.as_ref()).collect();
     let each = |text: &dyn Fn(&Figures) -> String| {

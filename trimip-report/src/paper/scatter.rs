@@ -43,15 +43,15 @@ impl Mark {
 /// A rectangle: left, top, right, bottom.
 type Area = [f64; 4];
 
-/// The place of a name.
+/// Position of a name.
 #[derive(Clone, Copy, Debug)]
 struct Label {
     area: Area,
-    /// The name ends at the right of its area, which is as wide as letters are on average.
+    /// True if the name ends at the right of its area, whose width is estimated from the average letter.
     at_right: bool,
 }
 
-/// The range of quality that holds every value, rounded outwards.
+/// The range of quality that contains every value, rounded outwards.
 pub fn range(psnr: &[f64]) -> [f64; 2] {
     let low = psnr.iter().copied().fold(f64::INFINITY, f64::min);
     let high = psnr.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -63,7 +63,7 @@ pub fn range(psnr: &[f64]) -> [f64; 2] {
 pub fn panel(marks: &[Mark], title: &str, quality: [f64; 2]) -> Option<String> {
     let low = marks.iter().map(|mark| mark.x).reduce(f64::min)?;
     let high = marks.iter().map(|mark| mark.x).reduce(f64::max)?;
-    // At least a factor of four, so that equal values do not fill the axis with digits.
+    // The axis spans at least a factor of four, so that equal values do not fill it with digits.
     let middle = (low * high).sqrt();
     let (low, high) = ((low / 1.6).min(middle / 2.0), (high * 1.6).max(middle * 2.0));
     let x = Axis { low, high, logarithmic: true, start: LEFT, end: WIDTH - RIGHT };
@@ -106,7 +106,7 @@ pub fn panel(marks: &[Mark], title: &str, quality: [f64; 2]) -> Option<String> {
     Some(svg + "</svg>")
 }
 
-/// A point, its name, and a thin line between them if the name is not beside it.
+/// A point, its name, and a thin line between them if the name is not next to the point.
 fn drawn(mark: &Mark, [x, y]: [f64; 2], label: &Label) -> String {
     let [left, top, right, bottom] = label.area;
     let (class, faint) = if mark.quoted { ("quoted", " class=\"faint\"") } else { ("dot", "") };
@@ -130,7 +130,7 @@ fn drawn(mark: &Mark, [x, y]: [f64; 2], label: &Label) -> String {
     )
 }
 
-/// A place for each name near its point, where it covers the least of points and of other names.
+/// A position for each name near its point that covers as little as possible of points and other names.
 fn labels(marks: &[Mark], places: &[[f64; 2]]) -> Vec<Label> {
     let points: Vec<Area> = places.iter().map(|[x, y]| [x - 6.0, y - 6.0, x + 6.0, y + 6.0]).collect();
     let mut labels: Vec<Label> = Vec::new();
@@ -150,7 +150,7 @@ fn labels(marks: &[Mark], places: &[[f64; 2]]) -> Vec<Label> {
             let of_points = points.iter().map(|other| shared(&label.area, other)).sum::<f64>();
             of_points + labels.iter().map(|other| shared(&label.area, &other.area)).sum::<f64>()
         };
-        // The first of equally good ones is the nearest.
+        // Positions are tried from near to far, so the nearest of equally good ones wins.
         let best = tried.iter().min_by(|a, b| covered(a).total_cmp(&covered(b))).copied();
         labels.push(best.unwrap_or_else(|| at(*x, *y, false)));
     }
@@ -198,7 +198,7 @@ mod tests {
         let svg = panel(&marks, "model / MB", range(&[30.0, 20.0])).unwrap();
         assert!(svg.contains("a name &lt; b") && !svg.contains("NaN"));
         assert_eq!(svg.matches("class=\"dot\"").count(), 2);
-        // One point, and equal points, have an axis too.
+        // A single point and equal points have an axis too.
         assert!(!panel(&marks[..1], "x", range(&[30.0])).unwrap().contains("NaN"));
         assert!(panel(&[], "x", [0.0, 1.0]).is_none());
     }

@@ -1,5 +1,5 @@
-//! The tables of the page: what was measured here, with the best of a column in bold and the second underlined, and the
-//! published figures.
+//! The tables of the page: the measurements made here, with the best of a column in bold and the second underlined, and
+//! the published figures.
 
 use super::look::mark;
 use crate::page::escape;
@@ -8,10 +8,10 @@ use trimip::paper::{
 };
 use trimip::systems::{Kind, SYSTEMS};
 
-/// Number of scenes up to which each has its table in sight.
+/// Up to this number of scenes, the table of each scene is unfolded.
 const OPEN: usize = 2;
 
-/// The tables of what was measured.
+/// The tables of the measurements.
 pub fn measured(comparison: &Comparison, scales: Scales) -> String {
     let mut html = String::new();
     if comparison.scenes.len() > 1 {
@@ -33,7 +33,7 @@ pub fn measured(comparison: &Comparison, scales: Scales) -> String {
     )
 }
 
-/// A table of rows, the best and the second of each column told apart.
+/// A table of rows, with the best and the second of each column marked.
 fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut html = "<div class=\"scroll\"><table class=\"dense\"><tr><th>system</th>".to_string();
@@ -70,7 +70,8 @@ fn tag(name: &str) -> String {
     }
 }
 
-/// Rank of each row by a value, 0 for the greatest. A mean of fewer scenes than there are has no rank, nor has a row alone.
+/// Rank of each row by a value, 0 for the greatest. A mean over only some of the scenes has no rank, nor does a row without a
+/// rival.
 fn ranks(rows: &[TableRow], value: &dyn Fn(&TableRow) -> f64) -> Vec<usize> {
     let rival = |row: &&TableRow| value(row).is_finite() && row.scenes[0] == row.scenes[1];
     let rivals: Vec<f64> = rows.iter().filter(rival).map(value).collect();

@@ -2,12 +2,12 @@
 
 use super::surface::{Mesh, signed_volume};
 
-/// What was removed from a mesh.
+/// Number of parts removed from a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Removed {
     /// Connected parts smaller than the limit.
     pub specks: usize,
-    /// Connected parts that face inward: walls of voids that nobody sees from outside.
+    /// Connected parts that face inward: walls of voids that are not visible from outside.
     pub cavities: usize,
 }
 
@@ -30,7 +30,7 @@ pub fn clean(mesh: &mut Mesh, least: f64) -> Removed {
     Removed { specks, cavities: cavity.iter().zip(&speck).filter(|&(&own, &small)| own && !small).count() }
 }
 
-/// Removes the connected parts whose box has a diagonal below `least`, of a mesh that need not be closed; returns how many.
+/// Removes the connected parts of a mesh, closed or not, whose box has a diagonal below `least`; returns their number.
 pub fn remove_specks(mesh: &mut Mesh, least: f64) -> usize {
     let parts = parts(mesh);
     let count = parts.iter().map(|&part| part as usize + 1).max().unwrap_or(0);
@@ -46,10 +46,10 @@ pub fn remove_specks(mesh: &mut Mesh, least: f64) -> usize {
 /// Corners of a box.
 type Corners = [[f64; 3]; 2];
 
-/// The box of nothing.
+/// The empty box.
 const EMPTY: Corners = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
 
-/// Extends a box to hold the corners of a triangle.
+/// Extends a box to contain the corners of a triangle.
 fn extend([low, high]: &mut Corners, corners: &[[f64; 3]; 3]) {
     for (axis, value) in corners.iter().flat_map(|corner| corner.iter().enumerate()) {
         low[axis] = low[axis].min(*value);
@@ -85,7 +85,7 @@ fn parts(mesh: &Mesh) -> Vec<u32> {
         .collect()
 }
 
-/// The vertex that stands for the part of a vertex; halves the path to it.
+/// The representative of a vertex's part (union-find); halves the path to it.
 fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
     while parent[vertex as usize] != vertex {
         parent[vertex as usize] = parent[parent[vertex as usize] as usize];

@@ -16,42 +16,41 @@ use trimip_core::{
     math::compositing::composite, scene::origin::LocalOrigin,
 };
 
-/// Optical depth that a marching step has at the level of the surface, unless a level is given. A ray that grazes the
+/// Optical depth of a marching step at the density of the surface, unless a level is given. A ray that grazes the
 /// surface within a few steps then has an opacity of about a half.
 const DEPTH_AT_SURFACE: f64 = 0.2;
 
-/// Density of a void that nobody sees, relative to that of the surface.
+/// Density that fills hidden voids, relative to that of the surface.
 const FILLED: f32 = 2.0;
 
-/// Fewest cameras that see what is kept of contracted space.
+/// Minimum number of cameras that see a part for it to be kept in contracted space.
 const LEAST_CAMERAS: u32 = 3;
 
-/// Samples that show the colour of a vertex, along the line of sight against its normal.
+/// Number of samples composited for the colour of a vertex, along the line of sight against its normal.
 const COLOR_SAMPLES: usize = 8;
 
-/// What to extract.
+/// Settings of an extraction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extraction {
     /// Cells along the longest side of the box.
     pub resolution: u32,
-    /// Density of the surface, per world unit; `None` = that of which a marching step has an optical depth of 0.2.
+    /// Density of the surface, per world unit; `None` = the density at which a marching step has an optical depth of 0.2.
     pub level: Option<f64>,
-    /// Connected parts whose box has a smaller diagonal are left out, as a share of the longest side of the box.
+    /// Minimum bounding-box diagonal of a connected part, as a share of the longest side of the box; smaller parts are left out.
     pub specks: f64,
     /// How far the mesh is simplified.
     pub goal: Goal,
     /// True to find the colour of every vertex.
     pub colors: bool,
-    /// What is extracted: the surface within, open where the border of the crop cuts it. [`Crop::None`]: the scene's box, or
-    /// in contracted space the box around its ball, and the surface is closed there.
+    /// Region to extract. The surface is open where the border of the crop cuts it. [`Crop::None`] extracts the scene's box, or in
+    /// contracted space the box around its ball, and closes the surface there.
     pub crop: Crop,
-    /// Parts that fewer cameras see are left out; 0 keeps all. At most as many count as there are cameras.
+    /// Parts that fewer cameras see are left out; 0 keeps all. Capped at the number of cameras.
     pub least_cameras: u32,
 }
 
 impl Extraction {
-    /// What is extracted of a model unless something else is asked for: the crop of its scene, and in contracted space what
-    /// three cameras see.
+    /// The default extraction of a model: within the crop of its scene, and in contracted space only parts that three cameras see.
     pub fn of(config: &Config) -> Self {
         let least_cameras = match config.scene.contraction {
             Contraction::None => 0,
@@ -75,7 +74,7 @@ impl Default for Extraction {
     }
 }
 
-/// A mesh and how it came about.
+/// A mesh with figures of its extraction.
 #[derive(Clone, Debug)]
 pub struct Extracted {
     /// The mesh, in the world of the photographs' cameras.
@@ -92,19 +91,17 @@ pub struct Extracted {
     pub triangles: usize,
 }
 
-/// The density at which the surface is found without a given level: a marching step of it has an optical depth of
-/// 0.2.
+/// The default density of the surface, at which a marching step has an optical depth of 0.2.
 pub fn level_of(config: &Config) -> f64 {
     let renderer = &config.renderer;
     // Pictures are marched with the step at the end of the schedule.
     DEPTH_AT_SURFACE / (f64::from(config.step_length()) * renderer.step_scale.at(1.0))
 }
 
-/// Extracts the surface of a model. Voids of its occupied cells are filled where nobody sees them, looking in from
-/// outside in the directions of `cameras`, or from everywhere without cameras. What lies beyond the crop, or is seen by too few
-/// cameras, is left out, and the mesh is open there. Memory holds two layers of the
-/// grid, two bits of each of its points, and the mesh. `watch` gets the share of the
-/// layers that are done and returns false to stop; the result is then `None`.
+/// Extracts the surface of a model. Voids in occupied cells are filled if no line of sight from outside reaches them, in the
+/// directions of `cameras` or, without cameras, in any direction. Parts beyond the crop, or seen by too few cameras, are left out,
+/// and the mesh is open there. Memory use: two layers of the grid, two bits per grid point, and the mesh. `watch` receives the
+/// share of the layers done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
 /// When the settings are out of range, the model has no surface at this level, or the device fails.
@@ -140,7 +137,7 @@ pub fn extract(
     let field = Occupied::new(model, what.crop)?;
     let (grid, level_f32) = (around(&field.aabb, what.resolution), level as f32);
     let layers = grid.points[2];
-    // Once for the solid, and, as nothing but bits of it is kept, once more for the surface.
+    // The grid is sampled twice, because densities are not kept: first for the bits of the solid, then for the surface.
     let mut solid = Bits::new(grid.points);
     let mut layer = vec![0.0; grid.layer()];
     for z in 0..layers {
@@ -166,7 +163,7 @@ pub fn extract(
         let first = z * layer.len();
         for (i, value) in layer.iter_mut().enumerate() {
             if *value < level_f32 && !seen.get(first + i) {
-                // Beyond the occupied cells nothing is rendered, so that no void is there.
+                // Outside the occupied cells nothing is rendered, so there is no void to fill.
                 if field.holds(grid.point([i % grid.points[0], i / grid.points[0], z])) {
                     *value = level_f32 * FILLED;
                 }
@@ -203,7 +200,7 @@ pub fn extract(
         return Ok(None);
     }
     simplify(&mut mesh, what.goal);
-    // Simplification may press a neck together, and leave a few triangles of it.
+    // Simplification may collapse a thin neck and leave a few of its triangles.
     if closed {
         clean(&mut mesh, speck);
     } else {
@@ -219,7 +216,7 @@ pub fn extract(
     Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, unseen, triangles }))
 }
 
-/// A grid of points over a box with one more point around it on every side, so that surfaces end within it.
+/// A grid of points over a box, one point larger on every side, so that surfaces end within the grid.
 fn around(aabb: &Aabb<f64>, resolution: u32) -> Grid {
     let spacing = aabb.longest() / f64::from(resolution);
     let cells = aabb.extent().map(|side| (side / spacing - 1e-6).ceil().max(1.0));
@@ -252,7 +249,7 @@ fn colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32
         for samples in viewer.query(&queries)?.chunks_exact(COLOR_SAMPLES) {
             let seen = samples.iter().map(|own| (own.density * length as f32, own.rgb, 0.0));
             let pixel = composite(seen, [0.0; 3]);
-            // Where the line of sight is not opaque, the colour is that of what is seen.
+            // Where the line of sight is not opaque, the colour is divided by its opacity.
             let fraction = pixel.opacity.max(1e-6).recip();
             colors.push(pixel.rgb.map(|c| (c * fraction).clamp(0.0, 1.0)));
         }
@@ -274,13 +271,13 @@ mod tests {
         },
     };
 
-    /// A field whose density is e^(k·depth) of the level at a signed depth below a surface.
+    /// A field whose density is e^(k·depth) times the level at a signed depth below a surface.
     struct Analytic<F>(F);
 
     /// Density of the surface.
     const LEVEL: f64 = 30.0;
 
-    /// Growth of the density's logarithm per unit of depth: that of a solid surface of a trained model.
+    /// Growth of the density's logarithm per unit of depth, as at a solid surface of a trained model.
     const GROWTH: f64 = 40.0;
 
     impl<F: Fn([f64; 3]) -> f64 + Send> Viewer for Analytic<F> {
@@ -303,14 +300,14 @@ mod tests {
         fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>> {
             let one = |query: &Query| {
                 let density = LEVEL * (GROWTH * (self.0)(query.point)).exp().min(1e4);
-                // Each place has a colour of its own.
+                // Each point has a colour of its own.
                 Radiance { density: density as f32, rgb: query.point.map(|x| (0.5 + 0.1 * x.sin()) as f32) }
             };
             Ok(queries.iter().map(one).collect())
         }
     }
 
-    /// A model of no parameters in the box around `centre` with these half sides, all of it occupied.
+    /// A model without parameters in the box around `centre` with these half sides, fully occupied.
     fn model(centre: [f64; 3], half: [f64; 3]) -> Model {
         let mut config = Config::default();
         config.scene.aabb_min = std::array::from_fn(|i| (centre[i] - half[i]) as f32);
@@ -390,7 +387,7 @@ mod tests {
 
     #[test]
     fn specks_go_and_voids_that_nobody_sees_are_filled() {
-        // A ball with a void, and a small ball beside it.
+        // A ball with a void, and a small ball next to it.
         let depth = |point: [f64; 3]| {
             let p = from_centre(point);
             let shell = (0.8 - p.length()).min(p.length() - 0.4);
@@ -422,7 +419,7 @@ mod tests {
     #[test]
     fn a_surface_that_leaves_the_box_is_closed_at_it() {
         let bounded = model(CENTRE, [0.5; 3]);
-        // Contracted space goes on beyond its middle half, and the mesh ends there.
+        // Contracted space continues beyond its middle half, where the mesh ends.
         let mut contracted = model(CENTRE, [1.0; 3]);
         contracted.config.scene.contraction = Contraction::Ball;
         for model in [bounded, contracted] {
@@ -440,7 +437,7 @@ mod tests {
 
     #[test]
     fn a_crop_leaves_the_surface_within_it_and_open_at_its_border() {
-        // A plane across x, cut by a ball that reaches beyond it, in a bounded and in a contracted scene.
+        // A plane across x, cropped to a ball that reaches to both sides of it, in a bounded and in a contracted scene.
         let bounded = model(CENTRE, [1.0; 3]);
         let mut contracted = model(CENTRE, [0.5; 3]);
         contracted.config.scene.contraction = Contraction::Ball;
@@ -472,7 +469,7 @@ mod tests {
 
     #[test]
     fn what_few_cameras_see_is_left_out() {
-        // Two balls beside each other; of three cameras one sees the second ball.
+        // Two balls next to each other. One of three cameras sees the second ball.
         let [first, second] = [DVec3::new(-0.6, 0.0, 0.0), DVec3::new(0.6, 0.0, 0.0)];
         let depth = |point: [f64; 3]| {
             let p = from_centre(point);
@@ -513,7 +510,7 @@ mod tests {
             "{left}, {right} of {whole} vertices: one camera sees half of a ball"
         );
         assert!(one.unseen > 0 && one.mesh.triangles.len() + one.unseen == all.mesh.triangles.len());
-        // No block has two cameras: one looks from the front, the other from the back.
+        // No block is seen by two cameras: one looks from the front, the other from the back.
         let error = extract(
             &mut Analytic(depth),
             &model,

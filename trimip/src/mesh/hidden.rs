@@ -1,11 +1,11 @@
-//! Hidden voids of a solid: places that no line of sight from outside reaches. A field has noise there, because no
-//! photograph shows it, and a mesh would spend most of its triangles on it.
+//! Hidden voids of a solid: points that no line of sight from outside reaches. A field has noise there, because no
+//! photograph shows these points, and a mesh would spend most of its triangles on the noise.
 
 use glam::DVec3;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use trimip_core::Camera;
 
-/// Number of directions, evenly spread over the sphere, from which those of parallel lines of sight are taken.
+/// Number of candidate directions of parallel lines of sight, evenly spread over the sphere.
 const DIRECTIONS: usize = 96;
 
 /// One bit per point of a grid, x fastest.
@@ -37,7 +37,7 @@ impl Bits {
     }
 }
 
-/// Directions in which the scene is looked at: those within the field of view of a camera, or all without cameras.
+/// Directions of the lines of sight: those within the field of view of a camera, or all candidates without cameras.
 pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
     let all = (0..DIRECTIONS).map(towards);
     let sees = |camera: &Camera, direction: &[f64; 3]| {
@@ -51,7 +51,7 @@ pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
 }
 
 /// The points that a line of sight in one of the directions reaches from outside of the grid without meeting a point of
-/// `solid`, and those beside them that are not solid. `threads` = 0: one per core.
+/// `solid`, and the neighbours of these points that are not solid. `threads` = 0: one per core.
 pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     let seen: Vec<AtomicU64> = solid.words.iter().map(|_| AtomicU64::new(0)).collect();
     let next = AtomicUsize::new(0);
@@ -72,7 +72,7 @@ pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     beside(&seen, solid)
 }
 
-/// A direction of a spiral over the sphere with equal areas. None is parallel to a plane of the grid.
+/// A direction of an equal-area spiral over the sphere. None is parallel to a plane of the grid.
 fn towards(index: usize) -> [f64; 3] {
     let z = 1.0 - (2 * index + 1) as f64 / DIRECTIONS as f64;
     let angle = (index as f64 + 0.77) * std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
@@ -102,13 +102,13 @@ fn follow(solid: &Bits, start: [usize; 3], direction: [f64; 3], seen: &[AtomicU6
     let mut index = solid.index(start);
     let step = direction.map(|d| d.abs().recip());
     let mut next = step.map(|step| 0.5 * step);
-    // Points that are left along each axis.
+    // Number of points left along each axis.
     let mut left: [usize; 3] = std::array::from_fn(|axis| {
         if direction[axis] > 0.0 { solid.size[axis] - 1 - start[axis] } else { start[axis] }
     });
     while !solid.get(index) {
         let (word, bit) = (&seen[index / 64], 1 << (index % 64));
-        // Most points have been seen before, and reading is cheaper than writing.
+        // Most bits are set already, and reading is cheaper than writing.
         if word.load(Ordering::Relaxed) & bit == 0 {
             word.fetch_or(bit, Ordering::Relaxed);
         }
@@ -126,7 +126,7 @@ fn follow(solid: &Bits, start: [usize; 3], direction: [f64; 3], seen: &[AtomicU6
     }
 }
 
-/// The points of `seen`, and their neighbours along the axes that are not solid: lines pass between some points.
+/// The points of `seen`, and their neighbours along the axes that are not solid, because lines miss some points.
 fn beside(seen: &Bits, solid: &Bits) -> Bits {
     let mut all = seen.clone();
     let [nx, ny, nz] = seen.size;
@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn what_cameras_above_do_not_see_is_hidden() {
-        // A plate seen from above alone.
+        // A plate seen only from above.
         let mut solid = Bits::new([15; 3]);
         (0..225).for_each(|i| solid.set(i + 225 * 7));
         let k = Intrinsics {
@@ -210,7 +210,7 @@ mod tests {
         let found = directions(&[camera]);
         assert!((2..DIRECTIONS / 4).contains(&found.len()) && found.iter().all(|d| d[2] < -0.8), "{found:?}");
         let seen = visible(&solid, &found, 3);
-        // Lines at 25° or less from the vertical pass beside the plate, and reach 3.3 points and their neighbours under it.
+        // Lines at 25° or less from the vertical pass the plate, and reach 3.3 points and their neighbours under it.
         for index in 0..15_usize.pow(3) {
             let [x, y, z] = [index % 15, index / 15 % 15, index / 225];
             let under = z <= 7 && (5..10).contains(&x) && (5..10).contains(&y);

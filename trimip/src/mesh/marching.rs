@@ -1,5 +1,6 @@
-//! Marching cubes (Lorensen and Cline 1987) over a grid that is sampled layer by layer. The triangles of each case are
-//! derived from one rule for the faces of a cell, which neighbours share, so every surface is closed and manifold.
+//! Marching cubes (Lorensen and Cline 1987) over a grid that is sampled layer by layer. The triangles of each case
+//! follow from one rule for the faces of a cell. Neighbouring cells apply it alike to their common face, so every
+//! surface is closed and manifold.
 
 use super::surface::Mesh;
 use std::sync::LazyLock;
@@ -34,7 +35,7 @@ const NONE: u32 = u32::MAX;
 /// Smallest distance of a vertex from the ends of its edge, as a share of the edge. It keeps triangles from collapsing.
 const MARGIN: f64 = 1e-3;
 
-/// Value below which a density counts as this share of the level where a vertex is placed.
+/// Minimum density for the placement of vertices, as a share of the level; smaller ones count as this share.
 const FLOOR: f64 = 1e-4;
 
 /// Extracts the surface on which a positive field has the value `level`; the field is at least `level` inside. `sample`
@@ -43,7 +44,7 @@ const FLOOR: f64 = 1e-4;
 /// inside leave the surface open there.
 ///
 /// # Errors
-/// Those of `sample`.
+/// The errors of `sample`.
 pub fn march(
     grid: &Grid,
     level: f32,
@@ -103,7 +104,8 @@ fn crossing(from: f32, to: f32, level: f32) -> f64 {
     (from / (from - to)).clamp(MARGIN, 1.0 - MARGIN)
 }
 
-/// Corners of each edge of a cell. Corner c has the coordinates (c & 1, c >> 1 & 1, c >> 2); the second has one more bit.
+/// Corners of each edge of a cell. Corner c has the coordinates (c & 1, c >> 1 & 1, c >> 2); the second corner of an edge has one
+/// more bit set.
 const EDGES: [[u8; 2]; 12] =
     [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
 
@@ -156,10 +158,10 @@ fn triangles(case: u8) -> Vec<[u8; 3]> {
     triangles
 }
 
-/// Triangulates a loop. A diagonal within a face could coincide with a line of the neighbour, so it is avoided.
+/// Triangulates a loop. Diagonals within a face are avoided, because one could coincide with a line of the neighbouring cell.
 fn fill(ring: &[u8], triangles: &mut Vec<[u8; 3]>) {
     let n = ring.len();
-    // Least number of such diagonals between vertices i and j, and the third vertex of the triangle on (i, j).
+    // Minimum number of diagonals within faces between vertices i and j, and the third vertex of the triangle on (i, j).
     let mut best = vec![vec![(0_usize, 0_usize); n]; n];
     for width in 2..n {
         for i in 0..n - width {
@@ -223,8 +225,8 @@ mod tests {
         }
     }
 
-    /// A field whose logarithm is linear in the distance, as that of a sphere here, has its vertices on the sphere
-    /// but for the curvature within a cell: h²/8r.
+    /// The logarithm of this field is linear in the distance from a sphere, so the vertices lie on the sphere except
+    /// for the curvature within a cell: h²/8r.
     #[test]
     fn a_sphere_has_its_radius_its_volume_and_normals_outward() {
         let (radius, sharpness) = (0.7_f64, 40.0);
@@ -264,7 +266,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Noise meets every case and every ambiguous face. With an empty border its surface is closed.
+        /// Noise produces every case and every ambiguous face. With an empty border its surface is closed.
         #[test]
         fn noise_has_a_closed_manifold_surface(values in prop::collection::vec(0.0_f32..2.0, 6 * 5 * 7)) {
             let grid = Grid { origin: [0.0; 3], spacing: 1.0, points: [8, 7, 9] };

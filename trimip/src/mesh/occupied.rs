@@ -1,4 +1,4 @@
-//! Where a model has a density at all, and its density on a grid. World units.
+//! The occupied cells of a model, and its density on a grid. World units.
 
 use super::Grid;
 use trimip_core::{
@@ -8,12 +8,12 @@ use trimip_core::{
     math::bits,
 };
 
-/// Places per query of the model; it bounds the memory.
+/// Maximum number of points per query of the model; bounds the memory.
 pub(super) const PLACES_AT_ONCE: usize = 1 << 17;
 
 /// The occupied cells of a model within a crop.
 pub(super) struct Occupied {
-    /// The box of what is extracted.
+    /// The box to extract.
     pub aabb: Aabb<f64>,
     crop: Crop,
     space: Space<f64>,
@@ -25,7 +25,7 @@ impl Occupied {
     /// The cells of a model. Contracted space without a crop ends at the box around its ball.
     ///
     /// # Errors
-    /// When the crop holds nothing of the scene's box, or the model lacks its occupancy grid.
+    /// When the crop does not meet the scene's box, or the model lacks its occupancy grid.
     pub fn new(model: &Model, crop: Crop) -> Result<Self> {
         let resolution = model.config.occupancy.resolution;
         let cells = (resolution as usize).pow(3);
@@ -41,12 +41,12 @@ impl Occupied {
                 Error::input(format!("crop {crop}"), what, "choose a part of this box, or none")
             })?,
         };
-        // The box of a contracted scene's subject is a crop of it.
+        // Without a crop, a contracted scene is cropped to the box of its subject.
         let crop = if crop == Crop::None && space.ball().is_some() { Crop::from(aabb) } else { crop };
         Ok(Self { aabb, crop, space, resolution, bits })
     }
 
-    /// True if samples are placed at a point of the world.
+    /// True if a point of the world is in the crop and in an occupied cell, where rendering places samples.
     pub fn holds(&self, point: [f64; 3]) -> bool {
         let position = self.space.to_cube(point);
         if !self.crop.contains(point) || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
@@ -56,7 +56,7 @@ impl Occupied {
         bits::is_set(&self.bits, cell as usize)
     }
 
-    /// Fills a layer of the grid with densities, zero where nothing is occupied.
+    /// Fills a layer of the grid with densities, zero outside the occupied cells.
     ///
     /// # Errors
     /// When the device fails.

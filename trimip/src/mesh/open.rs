@@ -1,14 +1,14 @@
-//! Openings of a closed mesh: the walls that a crop cuts through a solid, and parts that few cameras saw.
+//! Opens a closed mesh: removes the walls where a crop cuts a solid, and parts that few cameras see.
 
 use super::{Grid, Mesh, seen::Sightings};
 use trimip_core::Crop;
 
-/// Coordinates in units of the spacing that differ by less are those of a grid point: a vertex is a thousandth of an edge or
-/// more from its ends.
+/// Coordinates within this distance of a grid point, in units of the spacing, count as the grid point's. Vertices keep at least a
+/// thousandth of an edge from its ends.
 const ON_POINT: f64 = 4e-4;
 
-/// Removes the triangles that lie on the border of the crop, along with those of which fewer than `least` cameras see any
-/// corner. Returns how many of the latter there were.
+/// Removes the triangles on the border of the crop, and those that too few cameras see: fewer at every corner than the number in
+/// `seen`. Returns the number of the latter.
 pub(super) fn open(mesh: &mut Mesh, grid: &Grid, crop: Crop, seen: Option<(&Sightings, u32)>) -> usize {
     let flags = |test: &dyn Fn([f64; 3]) -> bool| -> Vec<bool> {
         mesh.positions.iter().map(|position| test(position.map(f64::from))).collect()

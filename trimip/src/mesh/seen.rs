@@ -1,5 +1,5 @@
-//! How many cameras see each part of a solid: lines of sight of every camera are followed through its grid to the first
-//! solid point.
+//! Counts the cameras that see each part of a solid: follows lines of sight of every camera through the grid to the
+//! first solid point.
 
 use super::{Grid, hidden::Bits};
 use glam::DVec3;
@@ -26,8 +26,8 @@ pub struct Sightings {
 }
 
 impl Sightings {
-    /// Counts the cameras whose lines of sight end in each block of `solid`, the points of `grid`. Nothing beyond the grid
-    /// hides anything. `threads` = 0: one per core.
+    /// Counts the cameras whose lines of sight end in each block of `solid`, which has the points of `grid`. Nothing outside the
+    /// grid occludes. `threads` = 0: one per core.
     pub fn of(solid: &Bits, grid: &Grid, cameras: &[Camera], threads: usize) -> Self {
         let side = grid.points.into_iter().max().unwrap_or(1).div_ceil(BLOCKS);
         let blocks = grid.points.map(|points| points.div_ceil(side));
@@ -54,7 +54,7 @@ impl Sightings {
         own
     }
 
-    /// Number of cameras that see a point of the world: the greatest of the eight nearest blocks'.
+    /// Number of cameras that see a point of the world: the greatest count of the eight nearest blocks.
     pub fn at(&self, point: [f64; 3]) -> u16 {
         let corner: [f64; 3] = std::array::from_fn(|axis| {
             (point[axis] - self.grid.origin[axis]) / (self.grid.spacing * self.side as f64) - 0.5
@@ -93,7 +93,7 @@ impl Sightings {
         seen
     }
 
-    /// The first solid point of the grid along a line of sight, from face to face of the cells around the points (Amanatides
+    /// The first solid point of the grid along a line of sight. Steps from face to face of the cells around the points (Amanatides
     /// and Woo 1987).
     fn first(&self, solid: &Bits, cone: &Cone<f64>) -> Option<[usize; 3]> {
         let Grid { origin, spacing, points } = self.grid;
@@ -156,14 +156,14 @@ mod tests {
 
     #[test]
     fn cameras_see_the_side_that_faces_them_and_nothing_behind_it() {
-        // Two walls across x, of which the left one hides the right one from the left.
+        // Two walls across x. From the left, the left one hides the right one.
         let walls = solid(|p| (p.x + 0.5).abs() < 0.05 || (p.x - 0.5).abs() < 0.05);
         let left = looking(DVec3::new(-3.0, 0.05, 0.1), DVec3::ZERO);
         let right = looking(DVec3::new(3.0, 0.05, 0.1), DVec3::ZERO);
         let sightings = Sightings::of(&walls, &GRID, &[left, left, right], 2);
         let at = |x: f64| sightings.at([x, 0.0, 0.0]);
         assert_eq!([at(-0.5), at(0.5), at(0.0)], [2, 1, 0]);
-        // A camera between them sees both, one beside the grid that looks away none.
+        // Cameras between the walls see the wall that they face; a camera outside the grid that looks away sees none.
         let within = |to: f64| looking(DVec3::new(0.0, 0.05, 0.1), DVec3::new(to, 0.05, 0.1));
         let away = looking(DVec3::new(-3.0, 0.0, 0.1), DVec3::new(-9.0, 0.0, 0.1));
         let sightings = Sightings::of(&walls, &GRID, &[within(1.0), within(-1.0), away], 1);

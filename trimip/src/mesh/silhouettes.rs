@@ -4,7 +4,7 @@ use super::surface::Mesh;
 use glam::DVec3;
 use trimip_core::{Camera, Frames, Result};
 
-/// Nearest distance along the optical axis that is drawn, as a share of the distance of the vertex farthest away.
+/// Distance of the near plane along the optical axis, relative to that of the farthest vertex.
 const NEAR: f64 = 1e-4;
 
 /// Distance along the optical axis of the nearest triangle at the centre of each pixel, row by row, world units;
@@ -41,7 +41,7 @@ pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
             let [x, y] = k.image_of(DVec3::new(p.x, p.y, -p.z))?;
             Some([x, y, p.z.recip()])
         };
-        // Edges that a lens bends are drawn straight; triangles beyond its domain are not seen.
+        // Edges that a lens bends are drawn straight; triangles outside the domain of the lens are skipped.
         let Some(drawn) = ring.iter().map(place).collect::<Option<Vec<[f64; 3]>>>() else { continue };
         for i in 2..drawn.len() {
             draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut depths);
@@ -80,20 +80,20 @@ fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, depths: &mut [f32])
     }
 }
 
-/// How well silhouettes fit masks.
+/// Agreement of silhouettes with masks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Overlap {
     /// Views compared.
     pub views: usize,
     /// Mean over the views of |both| / |either|.
     pub mean: f64,
-    /// The least of any view.
+    /// Smallest value of a view.
     pub least: f64,
 }
 
-/// Compares the silhouettes of a mesh with the masks of every `stride`-th frame: the intersection over the union of the
-/// pixels that the mesh covers and those whose alpha is at least a half. `None` if no photograph has both opaque and
-/// transparent pixels as opacity.
+/// Compares the silhouettes of a mesh with the masks of every `stride`-th frame: intersection over union of the pixels
+/// that the mesh covers and those with an alpha of at least a half. `None` if no photograph's alpha is an opacity with
+/// both opaque and transparent pixels.
 ///
 /// # Errors
 /// When a photograph cannot be read.
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_cube_seen_from_the_front_is_a_square_at_its_distance() {
-        // The face y = 0 of the unit cube, two units before the camera: 100 / 2 pixels wide.
+        // The face y = 0 of the unit cube, two units in front of the camera: 100 / 2 pixels wide.
         let k = Intrinsics {
             width: 80,
             height: 70,
@@ -152,7 +152,7 @@ mod tests {
 
     #[test]
     fn a_slanted_triangle_has_the_distance_of_its_plane_even_where_it_passes_the_eye() {
-        // The plane z = -1 below the camera, of which one corner lies behind it.
+        // A triangle in the plane z = -1 below the camera, with one corner behind the camera.
         let positions = vec![[-50.0, -50.0, -1.0], [50.0, -50.0, -1.0], [0.0, 100.0, -1.0]];
         let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
         let k = Intrinsics {

@@ -1,5 +1,5 @@
-//! Simplification by quadric error (Garland and Heckbert 1997), by `meshopt-rs`, and the repair of the edges that it
-//! leaves to more than two triangles.
+//! Simplification by quadric error (Garland and Heckbert 1997), with `meshopt-rs`, and repair of the edges that it
+//! leaves with more than two triangles.
 
 use super::surface::Mesh;
 use glam::DVec3;
@@ -17,8 +17,8 @@ pub enum Goal {
     Error(f64),
 }
 
-/// Simplifies a mesh. Vertices keep their places; some are dropped. A closed mesh stays closed: where simplification
-/// presses two sheets together, their common vertices are doubled so that every edge has two triangles.
+/// Simplifies a mesh. Vertices keep their positions; some are dropped. A closed mesh stays closed: where simplification
+/// collapses two sheets onto each other, their common vertices are duplicated so that every edge has two triangles.
 pub fn simplify(mesh: &mut Mesh, goal: Goal) {
     let (count, error) = match goal {
         Goal::Everything => return,
@@ -45,8 +45,8 @@ struct Side {
     corner: usize,
 }
 
-/// Makes every edge the side of two triangles and every vertex the centre of one fan. Of several triangles on an edge,
-/// those that enclose the solid between them belong together.
+/// Makes the mesh manifold: every edge belongs to two triangles and every vertex to one fan. Several triangles on an
+/// edge are paired so that each pair encloses solid.
 fn separate(mesh: &mut Mesh) {
     cancel(mesh);
     part_fans(mesh);
@@ -54,7 +54,7 @@ fn separate(mesh: &mut Mesh) {
     part_fans(mesh);
 }
 
-/// Removes pairs of triangles that are each other's back: nothing lies between them.
+/// Removes pairs of triangles with the same vertices in opposite order: nothing lies between the two.
 fn cancel(mesh: &mut Mesh) {
     // The first corner is the least, so a triangle's back is [a, c, b].
     let turned = |triangle: [u32; 3]| {
@@ -90,7 +90,7 @@ fn sides(mesh: &Mesh) -> Vec<([u32; 2], Vec<Side>)> {
     edges
 }
 
-/// Adds a copy of a vertex, or the middle of two; returns its number.
+/// Adds the midpoint of two vertices, or a copy of one given twice; returns its index.
 fn middle(mesh: &mut Mesh, [a, b]: [u32; 2]) -> u32 {
     let [a, b] = [a as usize, b as usize];
     let mean = |list: &[[f32; 3]]| std::array::from_fn(|i| 0.5 * (list[a][i] + list[b][i]));
@@ -105,7 +105,7 @@ fn middle(mesh: &mut Mesh, [a, b]: [u32; 2]) -> u32 {
     mesh.positions.len() as u32 - 1
 }
 
-/// Gives each fan of triangles around a vertex a vertex of its own.
+/// Gives each fan of triangles around a vertex its own copy of the vertex.
 fn part_fans(mesh: &mut Mesh) {
     // The corners of all triangles, joined where they share a vertex across an edge.
     let mut joined: Vec<usize> = (0..3 * mesh.triangles.len()).collect();
@@ -134,8 +134,8 @@ fn part_fans(mesh: &mut Mesh) {
     }
 }
 
-/// Divides edges of more than two triangles: each pair of triangles gets a vertex of its own in the middle. A triangle is
-/// divided once per call; true if any was.
+/// Divides edges of more than two triangles: each pair of triangles gets a vertex of its own in the middle. Divides a triangle at
+/// most once per call; returns true if it divided any.
 fn divide_edges(mesh: &mut Mesh) -> bool {
     let mut divided = vec![false; mesh.triangles.len()];
     let mut any = false;
@@ -169,13 +169,13 @@ fn pairs(mesh: &Mesh, [a, b]: [u32; 2], sides: &[Side]) -> Vec<[Side; 2]> {
     let place = |vertex: u32| DVec3::from_array(mesh.positions[vertex as usize].map(f64::from));
     let axis = (place(b) - place(a)).normalize_or(DVec3::X);
     let across = axis.any_orthonormal_vector();
-    // The angle around the edge at which a triangle stands.
+    // The angle of a triangle around the edge.
     let angle = |side: &Side| {
         let third = place(mesh.triangles[side.triangle][(side.corner + 2) % 3]) - place(a);
         third.dot(axis.cross(across)).atan2(third.dot(across))
     };
-    // A triangle that runs along the axis has its outside on the side of greater angles, and its inside on the side of
-    // lesser ones: the solid ends at the next triangle that runs back.
+    // A triangle that runs along the axis has the outside at greater angles and the solid at smaller ones. Towards
+    // smaller angles, the solid ends at the next triangle that runs back.
     let turn = |from: f64, to: f64| (to - from).rem_euclid(std::f64::consts::TAU);
     let mut found = Vec::new();
     for one in ahead {
@@ -189,7 +189,7 @@ fn pairs(mesh: &Mesh, [a, b]: [u32; 2], sides: &[Side]) -> Vec<[Side; 2]> {
     found
 }
 
-/// The corner that stands for a fan; halves the path to it.
+/// The representative of a corner's fan (union-find); halves the path to it.
 fn root(joined: &mut [usize], mut corner: usize) -> usize {
     while joined[corner] != corner {
         joined[corner] = joined[joined[corner]];
@@ -256,7 +256,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
-        /// Noise presses many sheets together when it is simplified.
+        /// Simplified noise has many sheets that collapse onto each other.
         #[test]
         fn simplified_noise_is_closed_and_manifold(
             values in prop::collection::vec(0.0_f32..2.0, 10 * 10 * 10),

@@ -6,9 +6,9 @@ use trimip_core::scene::origin::LocalOrigin;
 /// A triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// One per vertex, world units, counted from `origin`.
+    /// One per vertex, world units, relative to `origin`.
     pub positions: Vec<[f32; 3]>,
-    /// Where these coordinates begin in those of the photographs.
+    /// Origin of these positions in the coordinates of the photographs.
     pub origin: LocalOrigin,
     /// One unit normal per vertex, outward; empty if unknown.
     pub normals: Vec<[f32; 3]>,
@@ -18,7 +18,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What keeps a mesh from being a closed, oriented surface.
+/// Defects that keep a mesh from being a closed, oriented surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Defects {
     /// Edges of a single triangle.
@@ -52,7 +52,7 @@ impl Mesh {
         })
     }
 
-    /// Counts what keeps the mesh from being a closed, oriented surface.
+    /// Counts the defects that keep the mesh from being a closed, oriented surface.
     pub fn defects(&self) -> Defects {
         // Triangles along each edge, by direction.
         let mut edges: HashMap<[u32; 2], [usize; 2]> = HashMap::with_capacity(2 * self.triangles.len());

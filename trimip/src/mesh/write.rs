@@ -1,6 +1,6 @@
-//! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them.
-//! Positions keep the units and axes of the scene; glTF calls its y axis up, which no axis of a scene need be. Those of a scene far
-//! from the origin of its coordinates need 64 bits: a PLY has doubles then, an OBJ all digits, a GLB a node that moves its vertices.
+//! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them. Positions keep the
+//! units and axes of the scene; viewers of glTF take its y axis as up, whatever the scene's up axis is. Positions far from the origin of
+//! the coordinates need 64 bits: a PLY then has doubles, an OBJ all digits, a GLB a node that translates its vertices.
 
 use super::surface::Mesh;
 use serde_json::json;
@@ -23,7 +23,7 @@ impl MeshFormat {
     /// The format of a file name's extension.
     ///
     /// # Errors
-    /// When it is none of the three.
+    /// When the extension is none of the three.
     pub fn of(path: &Path) -> Result<Self> {
         match path.extension().map(|end| end.to_string_lossy().to_lowercase()).as_deref() {
             Some("ply") => Ok(Self::Ply),
@@ -34,19 +34,19 @@ impl MeshFormat {
     }
 }
 
-/// The coordinates of a file. They differ for a scene far from the origin of its coordinates alone.
+/// The coordinates of a file. The two kinds differ only for a scene far from the origin of its coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coordinates {
-    /// Those of the photographs.
+    /// Coordinates of the photographs.
     #[default]
     Stated,
-    /// Those of the mesh, which 32 bits hold. The file states what to add: an `offset` in a comment of a PLY or OBJ, in the `extras`
-    /// of a GLB's asset.
+    /// Coordinates of the mesh, which fit into 32 bits. The file states the `offset` to add: in a comment of a PLY or OBJ, or in the
+    /// `extras` of a GLB's asset.
     Local,
 }
 
-/// Writes a mesh in the format that its name states and in the coordinates of the photographs, atomically; returns the size of the
-/// file in bytes.
+/// Writes a mesh atomically, in the format that the file name states and in the coordinates of the photographs; returns the size of
+/// the file in bytes.
 ///
 /// # Errors
 /// When the name states no format, the mesh is empty, or the file cannot be written.
@@ -73,14 +73,14 @@ fn eight_bits(color: [f32; 3]) -> [u8; 3] {
     color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
 }
 
-/// The comment of a file in local coordinates, without the format's sign of a comment.
+/// The comment with the offset of a file in local coordinates, without the format's comment marker.
 fn offset(mesh: &Mesh, coordinates: Coordinates) -> Option<String> {
     let [x, y, z] = mesh.origin.numbers();
     let wanted = coordinates == Coordinates::Local && !mesh.origin.is_zero();
     wanted.then(|| format!("offset {x} {y} {z} is to be added to all positions"))
 }
 
-/// The positions of the photographs' coordinates, if they are to be written and 32 bits do not hold them.
+/// The positions in the photographs' coordinates, if these are to be written and do not fit into 32 bits.
 fn in_64_bits(mesh: &Mesh, coordinates: Coordinates) -> Option<impl Iterator<Item = [f64; 3]>> {
     let wanted = coordinates == Coordinates::Stated && !mesh.origin.is_zero();
     wanted.then(|| mesh.positions.iter().map(|position| mesh.origin.stated(position.map(f64::from))))
@@ -202,7 +202,7 @@ fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
         "nodes": [{ "mesh": 0 }],
-        // Colours hold the light of the photographs: they are shown as they are.
+        // Vertex colours already contain the light of the photographs, so the material is unlit.
         "extensionsUsed": ["KHR_materials_unlit"],
         "materials": [{
             "pbrMetallicRoughness": { "metallicFactor": 0.0, "roughnessFactor": 1.0 },

@@ -1,18 +1,18 @@
-//! Everything that the page, the JSON and the Markdown of a comparison are made of.
+//! The content of a comparison, from which its page, JSON, Markdown and LaTeX are made.
 
 use super::means::{TableRow, scene_row, whole_row};
 use super::runs::{Run, Scales, Status};
 use crate::machine::Machine;
 use crate::systems::System;
 
-/// Everything that the page, the JSON and the Markdown are made of.
+/// The content of a comparison.
 #[derive(Clone, Debug)]
 pub struct Comparison {
     /// The systems, in the order of the tables.
     pub systems: Vec<&'static System>,
     /// Names of the scenes, in order.
     pub scenes: Vec<String>,
-    /// Blender scenes that are not there, in words; empty if the scenes were named one by one.
+    /// Names of Blender scenes that are missing; empty if the scenes were named one by one.
     pub missing: Vec<&'static str>,
     /// The tables, in order.
     pub scales: Vec<Scales>,
@@ -20,7 +20,7 @@ pub struct Comparison {
     pub split: Vec<String>,
     /// The budget of a run in words.
     pub budget: String,
-    /// All runs, also those that wait.
+    /// All runs, including waiting ones.
     pub runs: Vec<Run>,
     /// The machine.
     pub machine: Machine,
@@ -72,7 +72,7 @@ impl Comparison {
         })
     }
 
-    /// Number of runs that are not trained and evaluated yet and did not fail.
+    /// Number of runs that are waiting or stopped.
     pub fn open(&self) -> usize {
         self.runs.iter().filter(|run| matches!(run.status, Status::Waiting | Status::Stopped)).count()
     }

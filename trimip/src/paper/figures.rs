@@ -11,16 +11,16 @@ use trimip_core::{
     measures::quality::{Measures, ScaleQuality, mean_quality},
 };
 
-/// What a run came to.
+/// The results of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Figures {
     /// Measures of each scale, fine to coarse.
     pub scales: Vec<ScaleQuality>,
     /// Means of the scales.
     pub mean: Measures,
-    /// Test views that were measured.
+    /// Number of test views that were measured.
     pub views: usize,
-    /// Test views that there are, if known.
+    /// Number of test views in the split, if known.
     pub test_views: Option<usize>,
     /// Background of training and test views, sRGB from 0 to 1.
     pub background: [f32; 3],
@@ -34,13 +34,13 @@ pub struct Figures {
     pub steps: u64,
     /// Samples kept.
     pub samples: u64,
-    /// Trained numbers: of the encoder and of the networks.
+    /// Number of trained parameters: of the encoder, of the networks.
     pub parameters: [u64; 2],
     /// Size of the model file, bytes.
     pub model_bytes: Option<u64>,
     /// Peak resident memory, bytes; the photographs are part of it.
     pub peak_memory_bytes: Option<u64>,
-    /// Seconds and dB on the way, on fewer test views.
+    /// PSNR against seconds during training, on fewer test views.
     pub curve: Vec<Measure>,
 }
 
@@ -73,7 +73,7 @@ impl Figures {
     }
 }
 
-/// Trained numbers of the encoder and of the networks.
+/// Number of trained parameters of the encoder and of the networks.
 fn parameters(config: &Config) -> [u64; 2] {
     let layout = Layout::new(config);
     [layout.encoder(), layout.networks()].map(|slots| slots.iter().map(|slot| slot.range.len() as u64).sum())

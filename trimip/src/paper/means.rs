@@ -8,16 +8,16 @@ use crate::{
 };
 use serde::Serialize;
 
-/// A row of a table: a system on one scene, or the mean of several. A value that is not known is NaN, `null` in JSON.
+/// A row of a table: a system on one scene, or the mean of several. Unknown values are NaN, `null` in JSON.
 #[derive(Clone, Debug, Serialize)]
 pub struct TableRow {
     /// Name of the system.
     pub system: &'static str,
     /// Title of the system.
     pub title: &'static str,
-    /// Scenes in the mean, and scenes that there are.
+    /// Number of scenes in the mean, and of all scenes.
     pub scenes: [usize; 2],
-    /// Runs in the mean, and runs that there are.
+    /// Number of runs in the mean, and of all runs.
     pub runs: [usize; 2],
     /// Runs that failed.
     pub failed: usize,
@@ -26,8 +26,8 @@ pub struct TableRow {
     /// The figures.
     #[serde(flatten)]
     pub cell: Cell,
-    /// The published figure that belongs in this place, dB: that of *lego* in the row of this scene, the mean of the eight scenes in
-    /// theirs. A smaller variant has none.
+    /// The corresponding published figure, dB: the one of *lego* in the row of *lego*, the mean of the eight scenes in the row of their
+    /// means. Smaller variants have none.
     pub published: Option<f64>,
 }
 
@@ -36,7 +36,7 @@ pub struct TableRow {
 pub struct Cell {
     /// Mean PSNR of the scales, dB.
     pub psnr: f64,
-    /// The same without the edge exponents of the set, dB: what published figures are.
+    /// Mean PSNR without the edge exponents of the set, dB, as published figures are measured.
     pub plain: f64,
     /// Difference between the best and the worst seed, dB.
     pub spread: f64,
@@ -54,12 +54,12 @@ pub struct Cell {
     pub model_bytes: f64,
     /// Peak resident memory, bytes.
     pub memory_bytes: f64,
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub parameters: f64,
 }
 
 impl Cell {
-    /// Nothing is known.
+    /// All values are unknown.
     pub const UNKNOWN: Self = Self {
         psnr: f64::NAN,
         plain: f64::NAN,
@@ -91,7 +91,7 @@ impl Cell {
         }
     }
 
-    /// Means; NaN of none, and of a value that one of them does not know.
+    /// Means of cells; NaN without cells, and for values that are unknown in any cell.
     fn mean(cells: &[Self]) -> Self {
         let mean = |value: fn(&Self) -> f64| mean(cells.iter().map(value));
         Self {
@@ -115,7 +115,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count as f64
 }
 
-/// The published row whose figures belong beside those of a system: a smaller variant has none.
+/// The published row that a system is compared with; smaller variants have none.
 fn quoted(system: &System) -> Option<&'static Published> {
     system.published().filter(|_| system.kind != Kind::Smaller)
 }
@@ -149,11 +149,11 @@ pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&
     }
 }
 
-/// The mean over the scenes of each scene's mean. `whole_set` says that these are the eight scenes of the papers.
+/// The mean over the scenes of each scene's mean. `whole_set` is true for the eight scenes of the papers.
 pub fn whole_row(system: &'static System, scales: Scales, rows: &[TableRow], whole_set: bool) -> TableRow {
     let known: Vec<&TableRow> = rows.iter().filter(|row| row.runs[0] > 0).collect();
     let sum = |pick: fn(&TableRow) -> usize| rows.iter().map(pick).sum::<usize>();
-    // Scenes with other scales have no mean of a scale.
+    // Scenes with different scales have no mean per scale.
     let factors = |row: &TableRow| row.scales.iter().map(|(factor, _)| *factor).collect::<Vec<_>>();
     let first = known.first().map_or_else(Vec::new, |row| factors(row));
     let alike = known.iter().all(|row| factors(row) == first);
@@ -179,9 +179,9 @@ pub fn whole_row(system: &'static System, scales: Scales, rows: &[TableRow], who
     }
 }
 
-/// The mean of curves at the times of the one with the fewest points, as far as all of them reach; between points a curve is
-/// straight over the logarithm of time. Curves with equally many points are averaged point by point. `None` without curves or
-/// a time that all of them reach.
+/// The mean of curves. Curves with equally many points are averaged point by point. Others are averaged at the times of the curve
+/// with the fewest points that all curves reach, and interpolated linearly over the logarithm of time. `None` without curves or
+/// without such a time.
 pub fn mean_curve(curves: &[&[Measure]]) -> Option<Vec<Measure>> {
     let fewest = curves.iter().min_by_key(|curve| curve.len())?;
     let points: Vec<Measure> = if curves.iter().all(|curve| curve.len() == fewest.len()) {
@@ -200,7 +200,7 @@ pub fn mean_curve(curves: &[&[Measure]]) -> Option<Vec<Measure>> {
     (!points.is_empty()).then_some(points)
 }
 
-/// A curve's PSNR at a time; `None` where it does not reach. Times within a hundredth of a point are that point's.
+/// A curve's PSNR at a time; `None` outside of the curve. A time within 1 % of a point returns that point's PSNR.
 fn between(curve: &[Measure], seconds: f64) -> Option<f64> {
     let near = |point: &&Measure| (point.seconds - seconds).abs() <= 0.01 * seconds;
     if let Some(point) = curve.iter().find(near) {
@@ -222,7 +222,7 @@ mod tests {
     #[test]
     fn the_mean_of_scenes_is_that_of_each_scenes_mean() {
         let system = find("ngp").unwrap();
-        // Two seeds on one scene, one on the other: seeds have no more weight than their scene.
+        // Two seeds on one scene, one on the other: both scenes have the same weight.
         let (a, b, c) = (
             run("ngp", "lego", 1, [20.0, 30.0]),
             run("ngp", "lego", 2, [22.0, 32.0]),
@@ -260,7 +260,7 @@ mod tests {
         let point = |seconds, psnr| Measure { seconds, psnr };
         let (a, b) = ([point(1.0, 20.0), point(2.0, 22.0)], [point(3.0, 30.0), point(4.0, 34.0)]);
         assert_eq!(mean_curve(&[&a, &b]), Some(vec![point(2.0, 25.0), point(3.0, 28.0)]));
-        // A curve that began earlier is read at the other's times, halfway in the logarithm here, and where both reach.
+        // The curve with more points is read at the times of the other that both reach; here halfway in the logarithm.
         let (long, short) =
             ([point(1.0, 20.0), point(4.0, 24.0), point(16.0, 30.0)], [point(8.0, 20.0), point(30.0, 40.0)]);
         assert_eq!(mean_curve(&[&long[..], &short[..]]), Some(vec![point(8.0, 23.5)]));

@@ -1,5 +1,5 @@
-//! Systems beside each other on several scenes: the runs, their figures, and the means that tables of papers state. JSON and
-//! Markdown are made here; the page is the program's.
+//! Comparison of systems on several scenes: the runs, their figures, and their means as in tables of papers. JSON, Markdown and
+//! LaTeX are made here, the page in trimip-report.
 
 mod comparison;
 mod figures;

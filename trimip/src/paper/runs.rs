@@ -10,12 +10,12 @@ use std::path::PathBuf;
 pub enum Scales {
     /// Trained and tested at 1/1, 1/2, 1/4 and 1/8.
     Four,
-    /// Trained and tested at 1/1 alone.
+    /// Trained and tested only at 1/1.
     One,
 }
 
 impl Scales {
-    /// Their number: `data.scales`.
+    /// Number of scales: `data.scales`.
     pub fn count(self) -> u32 {
         if self == Self::Four { 4 } else { 1 }
     }
@@ -44,7 +44,7 @@ pub enum Status {
 /// One run: a system on a scene with a seed.
 #[derive(Clone, Debug, Serialize)]
 pub struct Run {
-    /// The scales that it is trained and tested at.
+    /// The scales that the run is trained and tested at.
     pub scales: Scales,
     /// Name of the scene.
     pub scene: String,
@@ -57,6 +57,6 @@ pub struct Run {
     /// State.
     #[serde(flatten)]
     pub status: Status,
-    /// Its figures, once it is trained and evaluated.
+    /// Figures of the run, once it is trained and evaluated.
     pub figures: Option<Figures>,
 }

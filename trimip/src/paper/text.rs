@@ -1,4 +1,4 @@
-//! The tables as text: their columns, for the page and the terminal, and `paper.md`.
+//! The tables as text: their columns, for the page and the terminal, `paper.md` and `paper.tex`.
 
 use super::comparison::Comparison;
 use super::means::TableRow;
@@ -10,13 +10,13 @@ use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURC
 /// A value of a row.
 pub type Value = Box<dyn Fn(&TableRow) -> f64>;
 
-/// A column of a table: its head, and its text for a row. `better` compares values where one is better than another.
+/// A column of a table: its head, its text for a row, and the value by which rows are compared.
 pub struct Column {
     /// Head.
     pub head: String,
     /// Text of a row.
     pub text: Box<dyn Fn(&TableRow) -> String>,
-    /// The value to compare, greater is better; `None` in columns where nothing is compared.
+    /// The value to compare, greater is better; `None` in columns without comparison.
     pub value: Option<Value>,
 }
 
@@ -46,7 +46,7 @@ fn known(value: f64, text: impl Fn(f64) -> String) -> String {
     if value.is_finite() { text(value) } else { "–".into() }
 }
 
-/// The columns of a table of these rows, without that of the system's name.
+/// The columns of a table of these rows, without the column of system names.
 pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
     let mut columns = Vec::new();
     let factors = rows.iter().map(|row| &row.scales).max_by_key(|scales| scales.len());
@@ -68,7 +68,7 @@ pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
         columns.push(column("published", |row| row.published.map_or("–".into(), |psnr| number(psnr, 2))));
     }
     columns.push(compared("SSIM", 4, |row| row.cell.ssim));
-    // Where nobody measured them there is no column. The least FLIP and LPIPS are the best.
+    // Measures that no row has get no column. For FLIP and LPIPS, less is better.
     let mut perceptual = |head: &str, value: fn(&TableRow) -> f64, sign: f64| {
         if rows.iter().any(|row| value(row).is_finite()) {
             columns.push(Column {
@@ -121,7 +121,7 @@ pub fn published_columns(scales: Scales) -> Vec<&'static str> {
     }
 }
 
-/// What the published figures of a table are means of, and where they stand.
+/// The test views and the sources of a table's published figures.
 pub fn published_caption(scales: Scales) -> String {
     let on = match scales {
         Scales::Four => format!("on {CONVENTION}"),
@@ -160,7 +160,7 @@ pub fn published_cells(scales: Scales) -> Vec<Vec<String>> {
     PUBLISHED.iter().filter(there).map(row).collect()
 }
 
-/// `paper.md`: every table, the published figures and what has to be known of them.
+/// `paper.md`: every table, the published figures and the remarks on them.
 pub fn markdown(comparison: &Comparison) -> String {
     let mut text = "# Systems beside each other\n\n".to_string();
     text += &format!(
@@ -212,7 +212,7 @@ pub fn markdown(comparison: &Comparison) -> String {
     text
 }
 
-/// `paper.tex`: the same tables for the package booktabs, published figures apart.
+/// `paper.tex`: the tables of measurements, for the LaTeX package booktabs.
 pub fn latex(comparison: &Comparison) -> String {
     let mut text = "% \\usepackage{booktabs}\n".to_string();
     let mut add = |title: String, scales: Scales, rows: &[TableRow]| {

@@ -1,5 +1,5 @@
-//! Jobs that any rank can do by itself: views to render or to measure, runs to train. They are handed out as ranks come free,
-//! and their results come in order.
+//! Jobs that any rank can do by itself: views to render or to measure, runs to train. Free ranks get the next jobs, and results are
+//! delivered in the order of the jobs.
 
 use super::orders::Order;
 use crate::machine;
@@ -13,24 +13,24 @@ use trimip_core::{
     scene::fingerprint,
 };
 
-/// What a rank answers that has the jobs of rank 0.
+/// Answer of a rank that has the same jobs as rank 0.
 const READY: &[u8] = b"ready";
 
-/// The job that means: no more.
+/// Job number that ends the work of a rank.
 const NO_MORE: u64 = u64::MAX;
 
-/// Jobs that a rank has at a time: it begins the next one at once.
+/// Number of jobs that a rank has at a time, so that it begins the next one without waiting.
 const AHEAD: usize = 2;
 
 /// How long rank 0 waits between two looks for results.
 const NAP: Duration = Duration::from_millis(1);
 
-/// A description of jobs for [`scatter_jobs`] and [`work_on_jobs`], which is the same if the parts are.
+/// A description of jobs for [`scatter_jobs`] and [`work_on_jobs`]: a hash of `parts`.
 pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
     format!("{:016x}", fingerprint::hash_of(parts))
 }
 
-/// What a rank sends of a job.
+/// The result of a job as a rank sends it.
 #[derive(Serialize, Deserialize)]
 struct Done<T> {
     job: u64,
@@ -40,28 +40,28 @@ struct Done<T> {
 /// The jobs and their results, on rank 0.
 struct JobQueue<'a, T> {
     jobs: &'a [usize],
-    /// False when the jobs are to stop.
+    /// Returns false when the jobs are to stop.
     going: &'a (dyn Fn() -> bool + Sync),
     state: Mutex<State<T>>,
     changed: Condvar,
 }
 
 struct State<T> {
-    /// Place of the first job that nobody has.
+    /// Index of the next job to hand out.
     next: usize,
-    /// No more jobs are given away.
+    /// True when no more jobs are handed out.
     closed: bool,
-    /// Nobody waits for results any more.
+    /// True after a panic on rank 0, which then waits for no results.
     abandoned: bool,
-    /// Results by the place of their job.
+    /// Results by the index of their job.
     done: BTreeMap<usize, Result<T>>,
-    /// Why the results of other ranks are not to be had.
+    /// The error that prevents results of other ranks.
     broken: Option<Error>,
 }
 
-/// Does `jobs` on all ranks, of which this is rank 0; the others are in [`follow`](super::follow). `what` describes the jobs, and
-/// has to be the same on every rank. `own` does a job on this rank, while another thread hands out jobs to the others. `take`
-/// gets the results in the order of the jobs, and returns false to stop. No job is handed out when `going` has become false.
+/// Does `jobs` on all ranks: rank 0 calls it, while the others [`follow`](super::follow). `what` describes the jobs and has to be
+/// the same on every rank. `own` does a job on this rank, while another thread hands out jobs to the others. `take` receives the
+/// results in the order of the jobs and returns false to stop. No job is handed out once `going` returns false.
 ///
 /// # Errors
 /// The first error of a job or of `take`, or when another rank is gone.
@@ -74,7 +74,7 @@ pub fn scatter_jobs<T: DeserializeOwned + Serialize + Send>(
     take: impl FnMut(usize, T) -> Result<bool>,
 ) -> Result<()> {
     Order::Jobs { version: machine::version() }.give(ranks)?;
-    // The first job is this rank's own: what stops all jobs is seen here first.
+    // Rank 0 does the first job itself, so that an error common to all jobs shows there first.
     let state = State { next: 1, closed: false, abandoned: false, done: BTreeMap::new(), broken: None };
     let queue = JobQueue { jobs, going, state: Mutex::new(state), changed: Condvar::new() };
     std::thread::scope(|scope| {
@@ -87,7 +87,7 @@ pub fn scatter_jobs<T: DeserializeOwned + Serialize + Send>(
     })
 }
 
-/// Closes a queue, also when its rank panics: the thread that serves others ends only then.
+/// Closes a queue when dropped, also in a panic: the thread that serves other ranks ends only after that.
 struct Closing<'a, 'b, T>(&'a JobQueue<'b, T>);
 
 impl<T> Drop for Closing<'_, '_, T> {
@@ -101,7 +101,7 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
     /// Hands out jobs and receives results until there are no more.
     fn serve(&self, ranks: &dyn Ranks, what: &str) -> Result<()> {
         let others = 1..ranks.rank().size;
-        // Every rank answers once whether it has these jobs, and then with the result of each that it is handed.
+        // Every rank answers once whether it has these jobs, and then sends the result of each job that it gets.
         let (mut waiting, mut unready) = (others.len(), others.len());
         let hand_out = |rank, waiting: &mut usize| -> Result<()> {
             if let Some(place) = self.next() {
@@ -113,7 +113,7 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
         for rank in others.clone() {
             ranks.send(rank, what.as_bytes())?;
         }
-        // Every job that was handed out ends before the ranks hear that there are no more.
+        // Waits for the results of all handed-out jobs before it ends the work of the ranks.
         while waiting > 0 && !self.state().abandoned {
             let Some((rank, bytes)) = ranks.try_receive()? else {
                 std::thread::sleep(NAP);
@@ -127,7 +127,7 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
             }
             hand_out(rank, &mut waiting)?;
             if bytes == READY && unready == 0 {
-                // Every rank has its first job before any has one in advance.
+                // Every rank gets its first job before any rank gets one in advance.
                 for rank in others.clone().cycle().take((AHEAD - 1) * others.len()) {
                     hand_out(rank, &mut waiting)?;
                 }
@@ -153,7 +153,7 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
         }
     }
 
-    /// Does this rank's jobs, and gives away the results of all.
+    /// Does this rank's jobs, and passes the results of all jobs to `take`.
     fn work(
         &self,
         mut own: impl FnMut(usize) -> Result<T>,
@@ -175,7 +175,7 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
             mine = self.next();
             if mine.is_none() && taken < self.jobs.len() {
                 let waits = |state: &mut State<T>| state.broken.is_none() && !state.done.contains_key(&taken);
-                // Now and again, to see whether to stop.
+                // The wait is limited, so that the loop checks `going` now and then.
                 let waited = self.changed.wait_timeout_while(self.state(), 100 * NAP, waits);
                 drop(waited.unwrap_or_else(PoisonError::into_inner));
             }
@@ -183,14 +183,14 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
         Ok(())
     }
 
-    /// The result of the job at a place, if it has come.
+    /// Removes and returns the result of the job at an index, if it has arrived.
     fn result(&self, place: usize) -> Result<Option<Result<T>>> {
         let state = &mut *self.state();
         state.broken.clone().map_or(Ok(()), Err)?;
         Ok(state.done.remove(&place))
     }
 
-    /// Gives away the next job.
+    /// Takes the next job from the queue and returns its index.
     fn next(&self) -> Option<usize> {
         if !(self.going)() {
             return None;
@@ -221,7 +221,7 @@ fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result
     Ok((job as usize, result.map_err(|told| error_of(rank, told))))
 }
 
-/// The error of another rank, of which it told the exit code and the message.
+/// The error of another rank, from the exit code and the message that it sent.
 pub(super) fn error_of(rank: usize, (code, message): (u8, String)) -> Error {
     let kind = [ErrorKind::Run, ErrorKind::Input, ErrorKind::Device]
         .into_iter()
@@ -233,7 +233,7 @@ pub(super) fn error_of(rank: usize, (code, message): (u8, String)) -> Error {
 /// Does the jobs that rank 0 hands to this rank, until there are no more.
 ///
 /// # Errors
-/// When rank 0 is gone. A job that fails is told to rank 0; so is it if its jobs are not those that `what` describes.
+/// When rank 0 is gone. The errors of jobs are sent to rank 0, and so is an error if its jobs are not those that `what` describes.
 pub fn work_on_jobs<T: Serialize>(
     ranks: &dyn Ranks,
     what: &str,

@@ -1,4 +1,4 @@
-//! The session of rank 0, through which it leads a training.
+//! The session through which rank 0 leads a training.
 
 use super::{
     jobs::error_of,
@@ -28,9 +28,9 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     let session = backends::train_over(config, views, Arc::clone(ranks))?;
     let computes = computes_with(config, ranks.on_machine())?;
     Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
-    // Closes the session everywhere, also if a rank cannot open it.
+    // Closes the session on all ranks when dropped, also if one of them cannot open it.
     let lead: Box<dyn Session> = Box::new(Lead { session, ranks: Arc::clone(ranks) });
-    // The time of the first step is not that of reading the data elsewhere.
+    // Waits for all ranks, so that the time of the first step does not include their reading of data.
     let mut refused = None;
     for _ in 1..ranks.rank().size {
         let (rank, answer) = ranks.receive()?;
@@ -117,12 +117,12 @@ impl Session for Lead {
     }
 
     fn align(&mut self, views: ViewSet) -> Result<Vec<Camera>> {
-        // Rank 0 alone: no other rank has a part in an evaluation.
+        // Only on rank 0: the other ranks take no part in an evaluation.
         self.session.align(views)
     }
 
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()> {
-        // Refused here first: the others would only say the same.
+        // If rank 0 refuses the checkpoint, the others need not receive it.
         self.session.restore(checkpoint)?;
         Order::Restore.give(&*self.ranks)?;
         self.ranks.broadcast(&mut checkpoint.to_bytes()?)

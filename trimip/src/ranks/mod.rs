@@ -1,6 +1,6 @@
 //! Several processes, called ranks, that work as one program. Rank 0 runs the program, reads and writes every file of a run, and
-//! leads; the others [`follow`] its orders. Rank 0 trains through a session that gives the same orders to all of them, so that
-//! every rank takes the same steps.
+//! leads; the others [`follow`] its orders. Rank 0 trains through a session that gives the same orders to all ranks, so that every
+//! rank takes the same steps.
 
 mod jobs;
 mod lead;
@@ -19,7 +19,7 @@ use trimip_core::{
     scene_plan::Compute,
 };
 
-/// Tells all ranks to end.
+/// Orders all other ranks to end.
 ///
 /// # Errors
 /// When another rank is gone.
@@ -27,11 +27,12 @@ pub fn dismiss(ranks: &dyn Ranks) -> Result<()> {
     Order::Quit.give(ranks)
 }
 
-/// Does what rank 0 orders, until it dismisses this rank. `work` does the jobs of [`scatter_jobs`]: it ends with [`work_on_jobs`].
+/// Follows the orders of rank 0 until it dismisses this rank. `work` does the jobs of [`scatter_jobs`], by calling [`work_on_jobs`]
+/// at its end.
 ///
 /// # Errors
-/// When this rank cannot do what it has to; the others then wait for it in vain, and the caller ends them. `tell` gets what is
-/// worth a warning.
+/// When this rank cannot follow an order. The other ranks then wait for it in vain, and the caller has to end them. `tell` receives
+/// warnings.
 pub fn follow(
     ranks: &Arc<dyn Ranks>,
     work: &mut dyn FnMut(&dyn Ranks) -> Result<()>,
@@ -67,7 +68,7 @@ fn expect_own(version: &str) -> Result<()> {
     ))
 }
 
-/// What all ranks together compute with, if each has this.
+/// The compute of all ranks together, if each has `compute`.
 pub fn together(compute: Compute, ranks: &dyn Ranks) -> Compute {
     let of = ranks.rank().size;
     Compute {
@@ -101,7 +102,7 @@ fn open(
             "give every machine the same data under the same path",
         ));
     }
-    // The machine of rank 0 is checked there.
+    // The first rank of each machine checks the memory; rank 0 does so for its own machine.
     if config.backend == "cpu" && near.id == 0 {
         let predicted = backends::predict_memory(&config, &scene.train);
         if let Some(warning) = memory::check(&config, &predicted, near.size)? {
@@ -111,7 +112,7 @@ fn open(
     backends::train_over(&config, scene.train, Arc::clone(ranks))
 }
 
-/// Does what rank 0 orders of a training, until it is over; without a session, waits for that.
+/// Follows the orders of rank 0 until the training is over. Without a session, only waits for its end.
 fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) -> Result<()> {
     let Some(mut session) = session else {
         return match Order::await_from(&**ranks)? {
@@ -136,7 +137,7 @@ fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) ->
             _ => return Err(Error::run("rank 0 gives other orders while a session is open")),
         };
         match done {
-            // Every rank has the same sums, so a step that fails does so on all of them, and rank 0 says it.
+            // All ranks have the same sums, so a step fails on all of them or on none, and rank 0 reports the failure.
             Err(error) if error.kind == ErrorKind::Device => return Err(error),
             Err(_) | Ok(()) => {}
         }

@@ -5,17 +5,17 @@ use serde::{Deserialize, Serialize};
 use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::{Config, Error, Result, scene::fingerprint::Fingerprint};
 
-/// What rank 0 tells the others to do.
+/// An order of rank 0 to the other ranks.
 #[derive(Serialize, Deserialize)]
 pub enum Order {
-    /// Open the data of this configuration, TOML, and train on it. The views have to be these; `computes` is what rank 0 computes
-    /// with.
+    /// Open the data of this configuration (TOML) and train on it. The views must match the fingerprint `data`; `computes` is the
+    /// device or instruction set of rank 0.
     Train { version: String, config: String, data: Fingerprint, computes: String },
     /// One step of the training.
     Step(f64),
     /// Take part in collecting a checkpoint.
     Checkpoint,
-    /// Continue from the checkpoint whose bytes come next.
+    /// Continue from the checkpoint whose bytes follow.
     Restore,
     /// The training is over.
     Close,
@@ -25,7 +25,7 @@ pub enum Order {
     Quit,
 }
 
-/// What a rank answers when it is told to train: nothing, or the exit code and the message of what prevents it.
+/// Answer of a rank to the order to train: nothing, or the exit code and the message of the error that prevents it.
 pub type Opened = std::result::Result<(), (u8, String)>;
 
 impl Order {
@@ -49,13 +49,13 @@ impl Order {
     }
 }
 
-/// The device of a rank, or the instruction set of its processor. `near` is the rank among those on its machine.
+/// The device of a rank, or the instruction set of its processor. `near` is the rank of the process on its machine.
 ///
 /// # Errors
 /// When there is no such device.
 pub fn computes_with(config: &Config, near: Rank) -> Result<String> {
     Ok(match config.backend.as_str() {
-        // The widest set comes first, and is used.
+        // The first instruction set is the widest, which is used.
         "cpu" => trimip_cpu::features().split(',').next().unwrap_or_default().into(),
         _ => backends::compute(config, near)?.name,
     })

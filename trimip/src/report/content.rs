@@ -22,7 +22,7 @@ pub enum Status {
     Failed(String),
 }
 
-/// How the PSNR of test views follows their distance to the nearest training camera.
+/// How the PSNR of test views depends on their distance to the nearest training camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PsnrByDistance {
     /// Number of views.
@@ -30,7 +30,7 @@ pub struct PsnrByDistance {
     /// Spearman's rank correlation of distance and PSNR, -1 to 1: -1 if every view that is farther away is worse.
     pub rank_correlation: f64,
     /// Least and greatest distance, as multiples of the median distance of a training camera to the nearest other one; `None` if that
-    /// is 0.
+    /// median is 0.
     pub spacings: Option<(f64, f64)>,
 }
 
@@ -85,8 +85,8 @@ impl<'a> Report<'a> {
         Verdict::judge(self.config, self.history, &self.views)
     }
 
-    /// The PSNR of the views of the finest scale against their distance to the nearest training camera; `None` where one of both is not
-    /// known, or of fewer than four views.
+    /// The PSNR of the views of the finest scale against their distance to the nearest training camera; `None` with fewer than four views
+    /// that have both, or if all distances or all PSNRs are equal.
     pub fn psnr_by_distance(&self) -> Option<PsnrByDistance> {
         let finest = self.views.iter().map(|view| view.scale).min()?;
         let views = || self.views.iter().filter(|view| view.scale == finest);

@@ -1,6 +1,6 @@
-//! Rank correlation (Spearman): whether one value falls or rises with another, by whatever curve.
+//! Rank correlation (Spearman): whether one value falls or rises with another, linearly or not.
 
-/// Least number of pairs: the correlation of fewer says nothing.
+/// Minimum number of pairs; a correlation of fewer is meaningless.
 const LEAST: usize = 4;
 
 /// Spearman's rank correlation of pairs of finite values, -1 to 1: Pearson's correlation of their ranks, where equal values share the
@@ -15,7 +15,7 @@ pub(super) fn rank_correlation(pairs: &[(f64, f64)]) -> Option<f64> {
     (variance > 0.0).then(|| covariance(&a, &b) / variance.sqrt())
 }
 
-/// The rank of each value less the mean rank.
+/// The rank of each value minus the mean rank.
 fn ranks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let values: Vec<f64> = values.collect();
     // Twice the rank, counted from the mean: values below less values above.

@@ -79,7 +79,7 @@ fn value(report: &Report<'_>) -> Value {
     })
 }
 
-/// What the measures mean, and what they were taken of.
+/// The definitions of the measures, and the views and conditions of the measurement.
 fn meanings(report: &Report<'_>) -> Value {
     let (history, config, headline) = (report.history, report.config, report.headline());
     json!({
@@ -151,7 +151,7 @@ mod tests {
             assert_eq!(json["rays"], 1000);
             assert_eq!((&json["samples_per_ray"], &json["rays_per_second"]), (&json!(100.0), &json!(100.0)));
             assert_eq!(json["mean"]["psnr"], 24.5);
-            // What was not measured is null.
+            // Values that were not measured are null.
             assert_eq!(
                 json["scales"][1],
                 json!({

@@ -19,7 +19,7 @@ use trimip_core::{
 /// The version of the file, which its first record states.
 const VERSION: &str = "brain.Event:2";
 
-/// Number of a field of Protocol Buffers with the type of its value, as it stands before the value: `number << 3 | type`.
+/// Keys of Protocol Buffers fields, written before the values: number of the field and type of its value, `number << 3 | type`.
 mod key {
     /// `Event.wall_time`, f64.
     pub const WALL_TIME: u8 = (1 << 3) | 1;
@@ -175,13 +175,13 @@ fn put_record(to: &mut Vec<u8>, data: &[u8]) {
     to.extend(masked(crc32c(data)).to_le_bytes());
 }
 
-/// A checksum as TFRecords store it, so that the checksum of data with checksums in it is no special value.
+/// A checksum, masked as TFRecords store it, so that the checksum of data that contain checksums is no special value.
 fn masked(checksum: u32) -> u32 {
     checksum.rotate_right(15).wrapping_add(0xA282_EAD8)
 }
 
-/// CRC-32C: the reflected polynomial 0x82F63B78 (Castagnoli). The checksums of zip archives and PNGs have another polynomial, so that
-/// the crates for them do not compute this one. A file has some kilobytes, so a bit at a time is fast enough.
+/// CRC-32C: the reflected polynomial 0x82F63B78 (Castagnoli). Zip archives and PNGs use another polynomial, so their crates do not compute
+/// this checksum. A file has some kilobytes, so one bit at a time is fast enough.
 fn crc32c(bytes: &[u8]) -> u32 {
     let divided = |rest: u32, _| (rest >> 1) ^ if rest & 1 == 1 { 0x82F6_3B78 } else { 0 };
     !bytes.iter().fold(!0, |rest, &byte| (0..8).fold(rest ^ u32::from(byte), divided))
@@ -204,7 +204,7 @@ mod tests {
         assert_eq!(crc32c(b""), 0);
     }
 
-    /// The payloads of all records, whose checksums hold.
+    /// The payloads of all records; checks their checksums.
     fn records(mut bytes: &[u8]) -> Vec<&[u8]> {
         let mut found = Vec::new();
         while !bytes.is_empty() {

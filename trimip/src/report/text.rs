@@ -1,5 +1,5 @@
-//! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown and as a LaTeX `tabular` of the columns that papers
-//! have, which needs the package booktabs. PSNR in dB.
+//! `report.md` and `report.tex`: the verdict and the table of metrics, as Markdown, and as a LaTeX `tabular` (package booktabs) of the
+//! columns that papers print. PSNR in dB.
 
 use super::content::{Report, scale_name};
 use super::latex::tabular;
@@ -10,7 +10,7 @@ use trimip_core::measures::{
 };
 
 /// Header and rows of the table of metrics: one row per scale and one for their mean. Empty if nothing was measured. A
-/// measure of perception that no scale has is left out.
+/// perceptual measure that no scale has is left out.
 pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     let Some(e) = report.headline() else { return Vec::new() };
     let mean = mean_quality(&e.scales);
@@ -61,7 +61,7 @@ pub fn columns(rows: &[Vec<String>], names: &[&str]) -> Vec<Vec<String>> {
     rows.iter().map(|row| kept.iter().filter_map(|&column| row.get(column).cloned()).collect()).collect()
 }
 
-/// What the measures of perception are means of, one sentence; empty if there is none.
+/// One sentence on the views behind the means of the perceptual measures; empty if there are none.
 pub fn perceptual(report: &Report<'_>) -> String {
     let scales = report.headline().map_or(&[][..], |e| &e.scales);
     let Some(most) = scales.iter().map(|q| q.perceptual_images).max().filter(|&most| most > 0) else {
@@ -76,14 +76,14 @@ pub fn perceptual(report: &Report<'_>) -> String {
     text + ". "
 }
 
-/// What became of the poses, one sentence; empty if they were not refined.
+/// One sentence on the refined poses; empty if poses were not refined.
 pub fn poses(report: &Report<'_>) -> String {
     let Some((moved, aligned)) = &report.history.poses else { return String::new() };
     let aligned = aligned.map_or(String::new(), |aligned| format!("; {aligned}"));
     format!("The {moved}{aligned}. ")
 }
 
-/// How PSNR follows the distance to the nearest photograph, one sentence; empty if it was not measured.
+/// One sentence on how PSNR depends on the distance to the nearest photograph; empty if that was not measured.
 pub fn distance(report: &Report<'_>) -> String {
     let Some(found) = report.psnr_by_distance() else { return String::new() };
     let apart = found.spacings.map_or(String::new(), |(least, greatest)| {

@@ -23,8 +23,8 @@ const FAIR: f64 = 20.0;
 const FAIR_ABOVE: f64 = 6.0;
 /// Minimum gain over the mean colour's PSNR of a model that learned anything; the default of `eval.min_gain`.
 const GAIN: f64 = 1.0;
-/// From this PSNR on, the error is at most 1 % of the range. The model is good whatever its gain: scenes may be almost
-/// blank.
+/// From this PSNR on, the error is at most 1 % of the range, and the model is good whatever its gain: scenes may be
+/// almost blank.
 const BEYOND_DOUBT: f64 = 40.0;
 /// PSNR of a grey picture against pixels spread evenly over the range (variance 1/12): the bound for a model that
 /// learned nothing if the mean colour's PSNR is unknown.
@@ -58,7 +58,7 @@ pub enum Grade {
     Good,
 }
 
-/// The views and scales that a mean is of.
+/// The views and scales behind a mean.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
     /// The finest and the coarsest scale, as reductions.
@@ -70,7 +70,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// Of an evaluation; `None` if it has no scale.
+    /// The extent of an evaluation; `None` if it has no scale.
     fn of(evaluation: &Evaluation) -> Option<Self> {
         let scales = &evaluation.scales;
         let finest = scales.iter().min_by_key(|scale| scale.scale)?;
@@ -102,13 +102,13 @@ impl std::fmt::Display for Extent {
 pub struct Figures {
     /// Means of the final evaluation.
     pub mean: Option<Measures>,
-    /// What they are means of.
+    /// The views and scales of these means.
     pub extent: Option<Extent>,
     /// The last training figures.
     pub training: Training,
     /// Distance in dB of the worst view of the finest scale below the median of that scale; `None` below four views.
     pub below_median: Option<f64>,
-    /// What helps if the background shines through.
+    /// The advice to give if the background shines through.
     pub remedy: Remedy,
 }
 
@@ -248,7 +248,7 @@ fn grade(mean: &Measures, training: &Training) -> Grade {
     if (mean.psnr >= GOOD && above >= GOOD_ABOVE) || mean.psnr >= BEYOND_DOUBT {
         return Grade::Good;
     }
-    // If nothing was marched there is no figure to judge.
+    // Without marched samples `kept` is NaN, and the model does not count as fog.
     let kept = training.kept_per_ray / training.marched_per_ray;
     if training.occupied >= FOG_OCCUPIED && kept >= FOG_KEPT {
         return Grade::Fog;

@@ -28,7 +28,7 @@ impl Beginning {
     /// its plan. A new run is planned once its scene is known.
     ///
     /// # Errors
-    /// When the folder holds another run, or the settings are invalid.
+    /// When the folder contains another run, or the settings are invalid.
     pub fn of(given: Settings, folder: &RunFolder, fresh: bool) -> Result<Self> {
         let (mut settings, mut findings) = (given.clone(), Vec::new());
         let earlier = if fresh { None } else { folder.findings()? };
@@ -93,8 +93,8 @@ impl Beginning {
         Ok(Self { settings, findings, checkpoint: Some(checkpoint), extended: Some(extended) })
     }
 
-    /// Returns the history of the folder's run if it is this run, trained and evaluated, with the views and the pictures
-    /// of its evaluation.
+    /// Returns the history of the folder's run if it is this run and complete: trained, evaluated, and with the views and the
+    /// pictures of its evaluation.
     ///
     /// # Errors
     /// When the settings are invalid.
@@ -110,11 +110,11 @@ impl Beginning {
     }
 }
 
-/// Refuses a folder with a run of other settings than `given`, as a training into it does. Reads no checkpoint, so it is
-/// quick.
+/// Refuses a folder with a run of other settings than `given`, as a training into that folder would. Quick, because it reads no
+/// checkpoint.
 ///
 /// # Errors
-/// When the folder holds another run, or the settings are invalid.
+/// When the folder contains another run, or the settings are invalid.
 pub fn expect_same(given: &Settings, folder: &RunFolder) -> Result<()> {
     let text = std::fs::read_to_string(folder.config());
     let Some(text) = text.ok().filter(|_| folder.checkpoint().exists()) else { return Ok(()) };
@@ -127,8 +127,8 @@ pub fn expect_same(given: &Settings, folder: &RunFolder) -> Result<()> {
     folder.expect_none(&Config::from_settings(&settings)?.differences(&there))
 }
 
-/// Keeps the budget of an earlier extension if the given budget is smaller. The settings that began a run then still
-/// match it, and find it finished.
+/// Keeps the budget of an earlier extension if the given budget is smaller. The settings that began the run then still
+/// match it, and the run counts as finished.
 fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     let extended = || folder.events().iter().any(|event| matches!(event, Event::Extended { .. }));
     let Ok(text) = std::fs::read_to_string(folder.config()) else { return Ok(()) };
@@ -145,7 +145,7 @@ fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     Ok(())
 }
 
-/// True if the history holds the final evaluation that the configuration asks for.
+/// True if the history contains the final evaluation that the configuration asks for.
 fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
     let bounded = config.eval.time_fraction > 0.0;
     let asked = |e: &Evaluation| e.bounded && bounded || config.eval.final_stride(e.frames) == Some(e.stride);

@@ -1,5 +1,4 @@
-//! `cameras.json` of a run folder: the cameras of the training photographs at their finest scale, in the layout that a camera
-//! path has.
+//! `cameras.json` of a run folder: the cameras of the training photographs at their finest scale, in the layout of a camera path.
 
 use super::folder::RunFolder;
 use crate::view::{self, Named};
@@ -15,11 +14,11 @@ pub fn finest(views: &ViewSet) -> Vec<Named> {
     finest.iter().map(|view| (view.name.clone(), view.camera)).collect()
 }
 
-/// The training cameras that the run of a model keeps: of a run folder, or of a model file in one, in coordinates that count from
-/// `origin`, the model's. `None` if there are none, as beside the models of earlier versions.
+/// The training cameras stored in the run folder `model`, or in the run folder of the model file `model`. Coordinates are relative
+/// to `origin`, the model's. `None` if there are none, as in runs of earlier versions.
 ///
 /// # Errors
-/// When the file exists and holds no cameras.
+/// When the file exists but contains no valid cameras.
 pub fn training_cameras(model: &Path, origin: LocalOrigin) -> Result<Option<Vec<Camera>>> {
     let folder = match model.is_dir() {
         true => Some(model),

@@ -13,7 +13,7 @@ pub fn write(path: &Path, history: &History) -> Result<()> {
     write_atomically(path, text(history).as_bytes())
 }
 
-/// A value with `digits` after the point; empty if it is not finite, as `compare` reads it.
+/// A value with `digits` after the point; empty if it is not finite, as `compare` expects.
 fn cell(value: f64, digits: usize) -> String {
     if value.is_finite() { format!("{value:.digits$}") } else { String::new() }
 }

@@ -1,4 +1,4 @@
-//! Curves of error against time: the columns `seconds` and `psnr_mean` of a CSV file, which a run writes or another program.
+//! Curves of error against time: the columns `seconds` and `psnr_mean` of a CSV file that a run or another program wrote.
 
 use trimip_core::{Error, Result};
 
@@ -49,7 +49,7 @@ pub fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> 
 
 /// One evaluation of a run.
 pub struct Evaluated {
-    /// When, and how good.
+    /// Time and PSNR.
     pub measure: Measure,
     /// True for the evaluation at the end of the run.
     pub ends: bool,
@@ -57,7 +57,7 @@ pub struct Evaluated {
     pub views: Option<String>,
 }
 
-/// The points of a curve by time, and the final measurement if it uses other views; `None` without measurements.
+/// The points of a curve in order of time, and the final measurement if it uses other views; `None` without measurements.
 pub fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
     let (mut points, mut last, mut before) = (Vec::new(), None, None);
     for Evaluated { measure, ends, views } in rows {

@@ -166,7 +166,7 @@ impl RunFolder {
     /// Reads the folder's checkpoint, if any.
     ///
     /// # Errors
-    /// When the folder holds a run with other settings, or incomplete files.
+    /// When the folder contains a run with other settings, or incomplete files.
     pub fn resume_point(&self, config: &Config) -> Result<Option<Checkpoint>> {
         let path = self.checkpoint();
         if path.exists() {
@@ -239,7 +239,8 @@ impl RunFolder {
         ours.map(|entry| entry.path()).collect()
     }
 
-    /// Removes what a killed process left half written. Of a locked folder no other process writes these files.
+    /// Removes the files that a killed process left half written. The folder is locked, so no other process writes such
+    /// files.
     pub fn sweep(&self) {
         if !self.is_ours() {
             return;
@@ -250,7 +251,7 @@ impl RunFolder {
             name.strip_suffix(".tmp").is_some_and(is_picture)
         });
         for path in self.files().iter().map(|path| temporary(path)).chain(half) {
-            // One that cannot be removed only takes space.
+            // A file that cannot be removed only takes space.
             let _ = std::fs::remove_file(path);
         }
     }
@@ -293,20 +294,20 @@ impl RunFolder {
     }
 }
 
-/// The events in the bytes of `metrics.jsonl`, without lines that are none.
+/// The events in the bytes of `metrics.jsonl`. Lines that are not events are skipped.
 pub fn events_of(bytes: &[u8]) -> Vec<Event> {
     // A torn line may end within a UTF-8 character.
     let lines = bytes.split(|&byte| byte == b'\n');
     lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()
 }
 
-/// What to do where a run or a model is asked for.
+/// Advice where a run or a model is expected.
 const NAME_A_RUN: &str = "name the folder of a run, such as runs/quickstart, or a model file (.safetensors)";
 
 /// Fails if there is nothing at the path of a run or a model.
 ///
 /// # Errors
-/// Of kind `Input`, then.
+/// Of kind `Input`, if nothing is there.
 pub fn expect_any(path: &Path) -> Result<()> {
     match path.exists() {
         true => Ok(()),
@@ -358,7 +359,7 @@ pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
 pub fn create_writable(folder: &Path) -> Result<()> {
     let attempt = || {
         std::fs::create_dir_all(folder)?;
-        // A file without a name: whatever ends the process leaves nothing.
+        // A file without a name: it vanishes however the process ends.
         tempfile::tempfile_in(folder)?.write_all(b"x")
     };
     attempt().map_err(|error| {

@@ -55,7 +55,7 @@ pub struct SessionPart {
 pub struct Training {
     /// Mean loss of the latest step.
     pub loss: f64,
-    /// Rank of occupied cells.
+    /// Share of occupied cells.
     pub occupied: f64,
     /// Samples marched per ray since the previous event; 0 if no ray was cast.
     pub marched_per_ray: f64,

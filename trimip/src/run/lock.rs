@@ -1,6 +1,6 @@
 //! Protects a run folder. A folder with files that no run wrote is refused before anything is written, and a lock keeps
-//! a second process out. A folder is a run's if `metrics.jsonl` holds an event, which the run writes first and removes
-//! last, or if it holds the header of a checkpoint.
+//! a second process out. A folder belongs to a run if `metrics.jsonl` contains an event, which the run writes first and
+//! removes last, or if its checkpoint begins with the header of one.
 
 use super::folder::RunFolder;
 use std::fs::{File, TryLockError};
@@ -20,7 +20,7 @@ impl RunFolder {
         has_event(&self.metrics()) || is_checkpoint(&self.checkpoint())
     }
 
-    /// Refuses a folder that no run wrote but that holds files a run would replace or remove. Writes nothing.
+    /// Refuses a folder that no run wrote but that contains files which a run would replace or remove. Writes nothing.
     ///
     /// # Errors
     /// When there is such a file; the message names one.
@@ -29,7 +29,7 @@ impl RunFolder {
             return Ok(());
         }
         let mut others: Vec<PathBuf> = self.files().into_iter().chain(self.pictures()).collect();
-        // An empty event file holds no data: a run that was killed at its start leaves one.
+        // An empty event file contains no data: a run that was killed at its start leaves one.
         let empty = |path: &Path| std::fs::metadata(path).is_ok_and(|metadata| metadata.len() == 0);
         others.retain(|path| path.exists() && !(*path == self.metrics() && empty(path)));
         let Some(first) = others.first() else { return Ok(()) };
@@ -82,7 +82,8 @@ pub struct Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // A leftover file blocks nobody: the operating system holds the lock, not the file. The lock file is empty.
+        // A leftover file blocks nobody: the operating system holds the lock, not the file. A file with content is not
+        // ours and stays.
         if std::fs::metadata(&self.path).is_ok_and(|metadata| metadata.len() == 0) {
             let _ = std::fs::remove_file(&self.path);
         }

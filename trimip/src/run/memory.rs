@@ -1,25 +1,25 @@
-//! Whether a run fits into memory, before it begins.
+//! Checks whether a run fits into memory before it begins.
 
 use crate::formatting;
 use trimip_core::{Config, Error, Result, config::MemoryChoice, field::encoders, memory};
 
-/// Memory that there is, bytes, what this process already has included.
+/// Memory that a run may use, bytes, including the memory that this process already uses.
 #[derive(Clone, Copy)]
 struct Memory {
-    /// Of this process.
+    /// For this process.
     own: u64,
-    /// Of all processes on this machine together.
+    /// For all processes on this machine together.
     common: u64,
 }
 
-/// Compares a run's predicted memory, by parts, with what this process may have; `ranks` processes on this machine need it each.
-/// Returns a warning if it is too little and the settings allow that.
+/// Compares a run's predicted memory, by parts, with the memory that this process may use; each of `ranks` processes on this
+/// machine needs the predicted memory. Returns a warning if there is too little and the settings allow that.
 ///
 /// # Errors
-/// When it is too little; names the largest part and what lowers it.
+/// When there is too little memory; the message names the largest part and the settings that lower it.
 pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<Option<String>> {
     let resident = memory::resident_memory().unwrap_or(0);
-    // What is in use already, such as the photographs, is part of the prediction.
+    // Memory already in use, such as for the photographs, is part of the prediction.
     let with = |more: Option<u64>| more.map_or(u64::MAX, |more| more.saturating_add(resident));
     let there = Memory { own: with(memory::own_memory()), common: with(memory::common_memory()) };
     match (shortage(config, parts, ranks, there), config.memory) {
@@ -59,7 +59,7 @@ fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, there: Memor
     })
 }
 
-/// The settings that lower a part of the memory, by its name in the CPU's prediction.
+/// The settings that lower a part of the memory, by the part's name in the CPU's prediction.
 fn lowered_by(config: &Config, part: &str) -> &'static str {
     match part {
         "training images" => "lower data.most_pixels or data.scales (or set data.pixels = \"disk\")",
@@ -108,7 +108,7 @@ mod tests {
             let there = Memory { own: u64::MAX, common: 600_000_000 };
             let error = shortage(&config, &parts(&config), 1, there).expect(setting);
             assert!(error.exit_code() == 2 && error.message.contains(setting), "{setting}: {error}");
-            // A limit of each process is not shared.
+            // The ranks do not share a limit per process.
             let own = Memory { own: 600_000_000, common: u64::MAX };
             let error = shortage(&config, &parts(&config), 8, own).expect(setting);
             assert!(error.message.contains("this process may have"), "{error}");

@@ -1,13 +1,13 @@
-//! How far test views stand from the photographs that a model was trained on.
+//! Distances of test views from the photographs that a model was trained on.
 
 use glam::DVec3;
 use trimip_core::Camera;
 
-/// The centres of the training cameras, and how far they stand apart.
+/// The centres of the training cameras, and their typical spacing.
 #[derive(Clone, Debug, Default)]
 pub struct TrainingCameras {
     centres: Vec<DVec3>,
-    /// Median of the distances of a camera to the nearest other one, world units; 0 if there is no other, or most share their places.
+    /// Median of the distances of a camera to the nearest other one, world units; 0 if there is no other, or if most share a position.
     spacing: f64,
 }
 
@@ -16,12 +16,12 @@ pub struct TrainingCameras {
 pub struct Nearest {
     /// World units.
     pub distance: f64,
-    /// As a multiple of the median distance of a training camera to the nearest other one; `None` if that is 0.
+    /// As a multiple of the median distance of a training camera to the nearest other one; `None` if that median is 0.
     pub spacings: Option<f64>,
 }
 
 impl TrainingCameras {
-    /// Keeps the centres of `cameras`, world units, and measures how far they stand apart.
+    /// Keeps the centres of `cameras`, world units, and measures their spacing.
     pub fn new<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> Self {
         let centres: Vec<DVec3> = cameras.into_iter().map(|camera| camera.origin).collect();
         let of = |index: usize| {
@@ -35,7 +35,7 @@ impl TrainingCameras {
         Self { centres, spacing }
     }
 
-    /// The distance from the centre of `camera` to the nearest of them; `None` if there is none.
+    /// The distance from the centre of `camera` to the nearest training camera; `None` without training cameras.
     pub fn nearest(&self, camera: &Camera) -> Option<Nearest> {
         let distances = self.centres.iter().map(|centre| centre.distance(camera.origin));
         let distance = distances.min_by(f64::total_cmp)?;
@@ -56,7 +56,7 @@ mod tests {
 
     #[test]
     fn distances_are_to_the_nearest_camera_and_relative_to_the_usual_spacing() {
-        // Their nearest others are 2, 2, 2 and 6 away.
+        // The nearest other cameras are 2, 2, 2 and 6 away.
         let row = [at(0.0, 0.0), at(2.0, 0.0), at(4.0, 0.0), at(10.0, 0.0)];
         let training = TrainingCameras::new(&row);
         let found = training.nearest(&at(4.0, 3.0)).unwrap();

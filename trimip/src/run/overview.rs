@@ -1,4 +1,4 @@
-//! What a run will do and how much memory it needs, as lines printed before it starts.
+//! Lines printed before a run starts: what the run will do and how much memory it needs.
 
 use crate::formatting;
 use std::path::Path;
@@ -12,7 +12,7 @@ use trimip_core::{
 pub struct Overview {
     /// One line each, in the form "subject: action".
     pub lines: Vec<String>,
-    /// A line each for data, space, model, time, memory, plan and folder.
+    /// One line each for data, space, model, time, memory, plan and folder.
     pub summary: Vec<String>,
     /// Predicted peak memory, bytes.
     pub memory_bytes: u64,
@@ -45,7 +45,8 @@ impl Overview {
         lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
         let finest = config.train.finest_scale.at(0.0) as usize;
         lines.extend(subject.train.scales.iter().enumerate().map(|(index, scale)| {
-            // A balance of b draws a pixel weight^b times as often, and its ray has weight^(1 - b) in the loss.
+            // With a balance of b, a pixel is drawn weight^b times as often, and its ray has the weight weight^(1 - b)
+            // in the loss.
             let drawn = scale.weight.powf(config.train.scale_weighting.at(0.0) as f32);
             let first = if index < finest { ", left out at first" } else { "" };
             format!(
@@ -110,7 +111,7 @@ fn space_summary(config: &Config) -> String {
                 sides.iter().map(|side| format!("{side:.3}")).collect::<Vec<_>>().join("×")
             )
         }
-        // The ball that keeps its shape has half of the side of the box.
+        // The diameter of the uncontracted ball is half the side of the box.
         Contraction::Ball => {
             format!("space: all of it, contracted beyond {:.3} units of its middle", sides[0] / 4.0)
         }
@@ -132,7 +133,7 @@ fn time_summary(config: &Config, step: u64) -> String {
     format!("time: {length} of training{from}, backend {}", config.backend)
 }
 
-/// What the plan changed, in how many decisions.
+/// Number of the plan's decisions that changed settings, in words; `None` without a plan.
 fn plan_summary(findings: &[Finding]) -> Option<String> {
     let changing = findings.iter().filter(|finding| !finding.changes.is_empty()).count();
     (!findings.is_empty()).then(|| {

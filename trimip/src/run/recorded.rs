@@ -1,4 +1,4 @@
-//! A run as its folder tells it, without its data.
+//! A run as recorded in its folder, without its data.
 
 use super::{folder::RunFolder, history::History, train::Trained};
 use crate::report::{Report, Status};
@@ -15,16 +15,16 @@ pub struct Recorded {
     pub scene: String,
     /// The effective configuration, scene plan included.
     pub config: Config,
-    /// The same with the origin of each value, as far as it is known.
+    /// The effective configuration with the origin of each value, where known.
     pub settings: Settings,
     /// The run's event history.
     pub history: History,
-    /// Its state.
+    /// State of the run.
     pub status: Status,
 }
 
 impl Recorded {
-    /// Reads a run folder. Nothing is locked: a run that is trained just now is told as far as it has come.
+    /// Reads a run folder. Takes no lock: a run that is still training is read in its current state.
     ///
     /// # Errors
     /// When there is no run, or its configuration is of another version.
@@ -51,7 +51,7 @@ impl Recorded {
         Ok(Self { scene: super::train::scene_name(&config), folder, config, settings, history, status })
     }
 
-    /// Of a training that has ended.
+    /// The record of a training that has ended.
     pub fn of(trained: &Trained) -> Self {
         use super::train::Ended;
         let status = match &trained.outcome {
@@ -69,7 +69,7 @@ impl Recorded {
         }
     }
 
-    /// Its report.
+    /// Collects the report of the run.
     pub fn report(&self) -> Report<'_> {
         let status = self.status.clone();
         Report::gather(&self.folder, status, &self.scene, &self.config, &self.settings, &self.history)
@@ -87,7 +87,8 @@ fn is_same(a: &Value, b: &Value) -> bool {
     }
 }
 
-/// Gives settings the origins that the report of their run states, where it states the same values. Without a report they stay.
+/// Sets the origins of settings from the report of their run, where the report has the same values. Without a report the origins
+/// stay.
 fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
     let text = std::fs::read_to_string(folder.json()).unwrap_or_default();
     let report: Value = serde_json::from_str(&text).unwrap_or_default();
@@ -103,7 +104,7 @@ fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
     found.into_iter().for_each(|(path, origin)| settings.set_origin(&path, origin));
 }
 
-/// The state of a finished run whose quality is judged.
+/// The state of a finished run, from the judgement of its quality.
 fn judged(judgement: Result<()>) -> Status {
     judgement.map_or_else(|error| Status::Failed(error.message), |()| Status::Finished)
 }

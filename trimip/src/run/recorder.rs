@@ -43,7 +43,8 @@ impl<'a> Recorder<'a> {
         line.push('\n');
         let place = self.folder.metrics();
         let evaluation = matches!(event, Event::Evaluation { .. });
-        // The evaluations before a checkpoint reach the disk before it: a power failure leaves no gap in the curve.
+        // Evaluations reach the disk before the checkpoint that follows them, so a power failure leaves no gap in the
+        // curve.
         let synced = |file: &File| if evaluation { file.sync_data() } else { Ok(()) };
         self.metrics.write(line.as_bytes()).and_then(|()| synced(&self.metrics.file)).map_err(|error| {
             Error::input(place.display(), format!("cannot write: {error}"), "free some disk space")
@@ -58,9 +59,9 @@ impl<'a> Recorder<'a> {
 impl EventSink for Recorder<'_> {
     fn emit(&mut self, event: &Event) {
         self.history.take(event);
-        // A full disk must not end hours of training before the last checkpoint is attempted. The failure is over once
-        // everything is written.
-        // The progress of an evaluation is of no use once it is over.
+        // A full disk must not end hours of training before the last checkpoint is attempted. The failure is cleared
+        // once everything is written. The progress of an evaluation is not stored: it is useless once the evaluation is
+        // over.
         if !matches!(event, Event::EvaluationProgress { .. }) {
             self.failure = self.write(event).err();
         }
@@ -68,7 +69,7 @@ impl EventSink for Recorder<'_> {
     }
 }
 
-/// A writer that keeps what it could not write and begins with it the next time.
+/// A writer that keeps the bytes that it could not write and begins with them the next time.
 struct Backlog<W> {
     file: W,
     unwritten: Vec<u8>,

@@ -16,13 +16,13 @@ use trimip_core::{
     scene::origin::LocalOrigin,
 };
 
-/// What the file name of a comparison has after that of its picture.
+/// Suffix of a comparison's file name, after the stem of its picture.
 const COMPARISON: &str = "_compare";
 
-/// What the file name of a map of FLIP errors has after that of its picture.
+/// Suffix of the file name of a map of FLIP errors, after the stem of its picture.
 const FLIP: &str = "_flip";
 
-/// Most bytes of a photograph's name in the name of its picture. File names have up to 255 bytes.
+/// Maximum bytes of a photograph's name in the file name of its picture. File names have up to 255 bytes.
 const LONGEST: usize = 160;
 
 /// One view of the final evaluation, as stored in `views.json`.
@@ -50,13 +50,14 @@ pub struct ViewRecord {
     /// Distance of its camera to the nearest training camera, world units; `None` in files of earlier versions.
     #[serde(default)]
     pub nearest_distance: Option<f64>,
-    /// The same as a multiple of the median distance of a training camera to the nearest other one; `None` also where that is 0.
+    /// That distance as a multiple of the median distance of a training camera to the nearest other one; `None` also if that median
+    /// is 0.
     #[serde(default)]
     pub nearest_spacings: Option<f64>,
     /// File in `images/` with rendered | photograph | difference, if the view was selected for a picture.
     pub comparison: Option<String>,
-    /// File in `images/` with the FLIP error of each pixel in the colours of magma, 0 to 1; `None` without a picture, or of a
-    /// build without FLIP.
+    /// File in `images/` with the FLIP error of each pixel in the colours of magma, 0 to 1; `None` without a picture, or in a build
+    /// without FLIP.
     #[serde(default)]
     pub flip_map: Option<String>,
 }
@@ -83,9 +84,9 @@ struct Shown {
 /// Stores a run in its folder.
 pub struct FileStore<'a> {
     folder: &'a RunFolder,
-    /// Where the coordinates of the run begin in those of the photographs.
+    /// Origin of the run's coordinates in the coordinates of the photographs.
     origin: LocalOrigin,
-    /// The training cameras; a test view records its distance to the nearest of them.
+    /// The training cameras; the record of a test view has its distance to the nearest one.
     training: TrainingCameras,
     /// Indices of the test frames with pictures, and their maximum number.
     picked: Vec<usize>,
@@ -96,8 +97,8 @@ pub struct FileStore<'a> {
 }
 
 impl<'a> FileStore<'a> {
-    /// Stores the run of `config`, with pictures of the first `eval.images` test frames that it sees. An evaluation renders evenly
-    /// spaced frames first. The records have the distances of test views to the `training` cameras.
+    /// Stores the run of `config`, with pictures of the first `eval.images` test frames that it receives; an evaluation renders
+    /// evenly spaced frames first. The records have the distances of test views to the nearest `training` camera.
     pub fn new(folder: &'a RunFolder, config: &Config, training: TrainingCameras) -> Self {
         let (origin, images) = (LocalOrigin::of(&config.data), config.eval.images as usize);
         let (picked, records) = (Vec::new(), Vec::new());
@@ -149,7 +150,7 @@ impl<'a> FileStore<'a> {
         Self::recorded(folder).unwrap_or_default()
     }
 
-    /// True if `views.json` and every picture that it names are there.
+    /// True if `views.json` and every picture that it names exist.
     pub fn is_whole(folder: &RunFolder) -> bool {
         let there = |name: &str| folder.images().join(name).is_file();
         let pictured = |comparison: &String| there(comparison) && there(&comparison.replace(COMPARISON, ""));
@@ -230,8 +231,8 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// The last component of a photograph's name without extension, safe as a file name: at most 160 bytes, so that
-/// what stands before and after it in a picture's name fits beside it.
+/// The last component of a photograph's name without extension, safe as a file name: at most 160 bytes, which leaves
+/// room for the rest of a picture's name.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
     let safe = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
@@ -309,7 +310,7 @@ mod tests {
     fn names_of_photographs_become_safe_file_names() {
         assert_eq!(file_stem("./test/r 0.png"), "r_0");
         assert_eq!(file_stem("../../etc/pass:wd"), "pass_wd");
-        // The longest names that a file system has, of one and of several bytes a letter.
+        // The longest names that a file system allows, with one and with several bytes per letter.
         for letter in ["n", "é", "視"] {
             let name = letter.repeat(251 / letter.len());
             let stem = picture_stem(usize::MAX, &file_stem(&format!("{name}.png")), u32::MAX);

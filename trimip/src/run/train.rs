@@ -43,7 +43,7 @@ pub struct Listeners<'a> {
     pub events: &'a mut dyn EventSink,
     /// Receives the number of photograph rows read, and their total.
     pub reading: Watch<'a>,
-    /// Looks at the model between steps, and may pause the run.
+    /// Observes the model between steps, and may pause the run.
     pub observer: &'a mut dyn Observer,
     /// When set to true, the run stops after the current step and saves.
     pub stop: &'a AtomicBool,
@@ -57,7 +57,7 @@ pub struct Training {
     stop_after: Option<u64>,
     started: Instant,
     ranks: Option<Arc<dyn Ranks>>,
-    /// This process among those on its machine that train at the same time.
+    /// Rank of this process among those on its machine that train at the same time.
     near: Rank,
 }
 
@@ -97,7 +97,7 @@ pub struct Trained {
     pub outcome: Result<Ended>,
     /// Why the folder lacks the last events.
     pub unwritten: Option<Error>,
-    /// What it was trained on; `None` if nothing was done.
+    /// Fingerprint of the training views; `None` if nothing was done.
     pub data: Option<Fingerprint>,
     _held: Lock,
 }
@@ -119,15 +119,15 @@ impl Trained {
     /// Checks the final evaluation against `eval.min_psnr` and `eval.min_gain`.
     ///
     /// # Errors
-    /// When it is below one of them.
+    /// When the quality is below one of them.
     pub fn judge(&self) -> Result<()> {
         let last = self.history.last();
         last.map_or(Ok(()), |e| mean_quality(&e.scales).judge(&self.config.eval))
     }
 }
 
-/// Refuses the finished run of a folder for other photographs than those of the settings. Photographs that are no longer there cannot
-/// be compared.
+/// Refuses the finished run of a folder if its photographs differ from those of the settings. Skips the check if the photographs are
+/// missing.
 fn expect_photographs(
     folder: &RunFolder,
     config: &Config,
@@ -135,7 +135,7 @@ fn expect_photographs(
     reading: Watch<'_>,
 ) -> Result<()> {
     let data: DataConfig = config.section()?;
-    // Without a folder, the settings tell what the photographs are.
+    // Without a data folder, the settings define the photographs.
     let Some(theirs) = trained_on.filter(|_| !data.root.is_empty()) else { return Ok(()) };
     let Ok(scene) = trimip_data::open_watched(&data, reading) else { return Ok(()) };
     let Some(difference) = Fingerprint::of(&scene.train).difference(&theirs) else { return Ok(()) };
@@ -191,7 +191,7 @@ impl Training {
         self
     }
 
-    /// Trains on all of these ranks. This is rank 0; the others [`follow`](crate::ranks::follow).
+    /// Trains on all of these ranks. This process is rank 0; the others [`follow`](crate::ranks::follow).
     #[must_use]
     pub fn over(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
         self.near = ranks.as_ref().map_or(Rank::ONLY, |ranks| ranks.on_machine());
@@ -199,8 +199,8 @@ impl Training {
         self
     }
 
-    /// Tells that this process is `near` among those on its machine that train at the same time: each needs as much memory, and
-    /// uses another of the devices that are as good.
+    /// Sets the rank of this process among those on its machine that train at the same time. Each of them needs as much memory, and
+    /// uses another of the equally good devices.
     #[must_use]
     pub fn beside(mut self, near: Rank) -> Self {
         self.near = near;
@@ -236,7 +236,7 @@ impl Training {
             root.ancestors().take_while(|folder| !folder.exists()).map(Path::to_path_buf).collect();
         let trained = self.begun_with(listeners);
         if trained.is_err() {
-            // A refused training leaves none of the folders that it created; one that holds anything stays.
+            // A refused training removes the folders that it created, except for folders with files.
             let _ = absent.iter().try_for_each(std::fs::remove_dir);
         }
         trained
@@ -330,7 +330,7 @@ impl Training {
             None => backends::train_beside(&config, scene.train, self.near)?,
         };
         let resumed = checkpoint.is_some();
-        // Drop the checkpoint once it is restored: both need not be in memory together.
+        // Drop the checkpoint once it is restored, so that it does not stay in memory next to the session.
         if let Some(checkpoint) = checkpoint {
             session.restore(&checkpoint)?;
         }
@@ -349,7 +349,7 @@ impl Training {
         }
         write_cameras(&folder.cameras(), &photographed, LocalOrigin::of(&config.data), None)?;
         folder.prepare_images()?;
-        // It shows an earlier model; there is none in a new folder.
+        // The turntable picture shows an earlier model; a new folder has none.
         let _ = std::fs::remove_file(folder.turntable());
         write_atomically(&folder.config(), config.to_toml().as_bytes())?;
         for message in warnings {

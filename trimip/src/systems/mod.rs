@@ -1,5 +1,5 @@
-//! The systems that are compared: each a layer of settings from `trimip/systems`, its title, and the published figures that
-//! it is laid beside. A system is applied over the defaults and under everything that a user sets.
+//! The systems that are compared: each a layer of settings from `trimip/systems`, its title, and the published figures that it is
+//! compared with. A system overrides the defaults, and a user's settings override the system.
 //!
 //! A new system is a file in `trimip/systems` and an entry in [`SYSTEMS`].
 
@@ -14,11 +14,11 @@ use trimip_core::{Error, Result, Settings};
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Kind {
-    /// The system as published, as far as `differs` says.
+    /// The system as published, except for what `differs` states.
     Whole,
-    /// The system without one of its parts, as the paper has it.
+    /// The system without one of its parts, as in an ablation of the paper.
     Ablation,
-    /// A variant with fewer parameters or less work than the published one. It never has its name.
+    /// A variant with fewer parameters or less work than the published one. It never has the name of the published system.
     Smaller,
     /// The published system with changes of this program.
     Changed,
@@ -47,14 +47,14 @@ pub struct System {
     pub kind: Kind,
     /// The text of its settings.
     pub settings: &'static str,
-    /// Name of the published row that it is laid beside; see [`published::PUBLISHED`].
+    /// Name of the published row that it is compared with; see [`published::PUBLISHED`].
     pub beside: Option<&'static str>,
-    /// What differs from the published system, one line.
+    /// Differences from the published system, one line.
     pub differs: &'static str,
 }
 
 impl System {
-    /// The published row that it is laid beside.
+    /// The published row that it is compared with.
     pub fn published(&self) -> Option<&'static Published> {
         self.beside.and_then(published::find)
     }
@@ -222,7 +222,7 @@ mod tests {
             let mut settings = crate::settings::defaults();
             system.apply(&mut settings).unwrap_or_else(|error| panic!("{error}"));
             Config::from_settings(&settings).unwrap_or_else(|error| panic!("{}: {error}", system.name));
-            // Scene, seed, splits and evaluation are the comparison's.
+            // The comparison sets scene, seed, splits and evaluation.
             let own = |path: &str| {
                 ["data.", "eval.", "seed", "backend", "threads"].iter().any(|p| path.starts_with(p))
             };
@@ -234,8 +234,8 @@ mod tests {
         }
     }
 
-    /// A published system that switches one decision of the plan off switches all of them off: a new decision must not change it. The
-    /// box alone may be found.
+    /// A published system that switches off one decision of the plan switches off all of them, so that a new decision does not change it.
+    /// Only the box may be planned.
     #[test]
     fn the_plan_decides_all_of_a_system_or_nothing_but_the_box() {
         let mut published = 0;

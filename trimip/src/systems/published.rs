@@ -1,4 +1,4 @@
-//! Figures that papers published of the systems, with what is known of how they were measured. They are quoted, never
+//! Figures that papers published of the systems, with the known conditions of their measurement. They are quoted, never
 //! measured here. PSNR in dB, sizes in megabytes as the papers state them, times in minutes on the papers' GPUs.
 
 use serde::Serialize;
@@ -28,18 +28,18 @@ pub struct Published {
     pub split: &'static str,
     /// Background of its evaluation.
     pub background: &'static str,
-    /// Where the figures stand.
+    /// Source of the figures.
     pub source: &'static str,
 }
 
-/// What the sources are.
+/// The sources of the figures.
 pub const SOURCES: &str = "Sources: tables 1 and 2 and supplement of Tri-MipRF (ICCV 2023); table 1 of Mip-NeRF (ICCV 2021), which the former \
                            repeats; second-hand notes on arXiv 2405.02386, whose original tables were not seen";
 
 /// The averages of coarse photographs that all multi-scale figures are measured on.
 pub const CONVENTION: &str = "the public multi-scale set: means of straight RGBA, truncated to 8 bits";
 
-/// Nothing is known.
+/// A row without figures.
 const NONE: Published = Published {
     name: "",
     scales: None,
@@ -73,7 +73,7 @@ const fn multi(name: &'static str, scales: [f64; 4], average: f64, ssim: f64, le
     }
 }
 
-/// A row of the single-scale table alone: average, *lego*.
+/// A row that is only in the single-scale table: average, *lego*.
 const fn single(name: &'static str, average: f64, lego: f64) -> Published {
     Published { name, single: Some(average), single_lego: Some(lego), background: "not stated", ..NONE }
 }
@@ -178,7 +178,7 @@ pub const PUBLISHED: &[Published] = &[
     Published { megabytes: Some(612.0), ..single("DVGO", 31.95, 34.64) },
 ];
 
-/// What has to be known beside the published figures; one statement each.
+/// Remarks on the published figures; one statement each.
 pub const REMARKS: &[&str] = &[
     "The rows NeRF and MipNeRF equal Mip-NeRF's own table. “w/o area loss” also lacks the centring of rays in their pixels: with the \
      area loss alone NeRF has 27.82 dB, with centred rays too 31.22 dB, with all changes 31.23 dB. The half pixel gives 3.4 of the \

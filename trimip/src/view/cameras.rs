@@ -80,14 +80,14 @@ struct Projection {
     cy: Option<f64>,
 }
 
-/// What a node of a path file states of a projection.
+/// The projection that a node of a path file states.
 struct Stated {
     projection: Projection,
     extent: Option<f64>,
 }
 
 /// Cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`. The file has the coordinates of the
-/// photographs, the cameras those that count from `origin`.
+/// photographs; the returned cameras are relative to `origin`.
 ///
 /// # Errors
 /// When the file cannot be read, or a frame has an invalid camera.
@@ -96,7 +96,7 @@ pub fn path(file: &Path, fallback: Intrinsics, origin: LocalOrigin) -> Result<Ve
     Ok(stated.into_iter().map(|(name, camera)| (name, origin.local(camera))).collect())
 }
 
-/// As [`path`], from the text of the file, which `place` names, and in its coordinates.
+/// As [`path`], from the text of the file and in its coordinates; `place` names the file in messages.
 ///
 /// # Errors
 /// As [`path`].
@@ -145,7 +145,7 @@ fn projected(place: &str, own: Stated, head: Stated, lens: Lens, fallback: Intri
     };
     let usual = || match definition.focal {
         Some(focal) => focal(width, height).into(),
-        // The focal length of a pinhole is none of another model.
+        // The focal length of a pinhole does not apply to another lens model.
         None if !definition.angles => (f64::NAN, f64::NAN),
         None => [fallback.fx * width / f64::from(fallback.width); 2].into(),
     };

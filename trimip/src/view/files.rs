@@ -46,7 +46,7 @@ pub(super) fn paths(out: &Path, name: &str, what: &[Quantity], format: PictureFo
 /// A rendered view.
 #[derive(Clone, Copy)]
 pub struct Rendered<'a> {
-    /// Name, with which the names of its files begin.
+    /// Name of the view, with which the names of its files begin.
     pub name: &'a str,
     /// Its pixels.
     pub frame: &'a Frame,
@@ -124,14 +124,14 @@ pub fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
     DepthRange { near: near as f32, far: (depth + radius).max(near + radius) as f32 }
 }
 
-/// Name of the file of cameras beside the pictures.
+/// Name of the file of cameras next to the pictures.
 pub const CAMERAS: &str = "cameras.json";
 
-/// What `written_by` of the file of cameras says. Pictures beside such a file are this program's.
+/// Value of `written_by` in the file of cameras. Pictures next to such a file were written by this program.
 const WRITER: &str = "trimip";
 
-/// Refuses a folder with a file that this program did not write and that the pictures of these views, or their cameras,
-/// would replace. Writes nothing.
+/// Refuses a folder if the pictures of these views, or their cameras, would replace a file that this program did not
+/// write. Writes nothing.
 ///
 /// # Errors
 /// When there is such a file; the message names it.
@@ -158,7 +158,7 @@ pub fn expect_no_others(
     }
 }
 
-/// Writes the cameras in the layout that `--path` reads and in the coordinates of the photographs: those of `cameras` count from
+/// Writes the cameras in the layout that `--path` reads and in the coordinates of the photographs; `cameras` are relative to
 /// `origin`. With `scene`, each camera has its depth range in world units.
 ///
 /// # Errors

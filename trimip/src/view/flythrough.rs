@@ -1,4 +1,4 @@
-//! A film along the training cameras: a smooth path near all of them, so that it shows what photographs saw. World units.
+//! A film along the training cameras: a smooth path near all of them, so that the film shows what photographs saw. World units.
 
 use super::cameras::Named;
 use glam::{DMat3, DVec3};
@@ -7,18 +7,19 @@ use trimip_core::{Camera, Error, Intrinsics, Result};
 /// Standard deviation of the smoothing, in mean distances between neighbouring cameras.
 const SMOOTH: f64 = 1.0;
 
-/// Cameras whose order makes a path this much longer than from each to its nearest were not taken one after the other.
+/// If the path in the order of the photographs is this much longer than the path from each camera to its nearest, the photographs
+/// were not taken one after the other.
 const DETOUR: f64 = 1.5;
 
-/// Lengths of a look that are 0: cameras that look in opposite directions have no mean.
+/// Shorter mean viewing directions count as 0: cameras that look in opposite directions have no mean.
 const NO_LOOK: f64 = 1e-6;
 
-/// `count` cameras along `photographed`, evenly spaced from the first to the last, without the lens of a photograph. Where
-/// the order of the photographs jumps about, each is followed by its nearest. A turn of a camera is as long as its arc at the
-/// distance `radius` of the subject.
+/// `count` cameras along `photographed`, evenly spaced from the first to the last, without the distortion of the lens. If the
+/// photographs are out of order, each is followed by its nearest. The length of a camera's turn is its arc at `radius`, the
+/// distance of the subject.
 ///
 /// # Errors
-/// When all cameras are at one place and look in one direction.
+/// When all cameras are at one position and look in one direction.
 pub fn cameras(photographed: &[Camera], count: u32, radius: f64) -> Result<Vec<Named>> {
     let refuse = || {
         let what = format!("the training split has {} different cameras", photographed.len().min(1));
@@ -40,7 +41,7 @@ pub fn cameras(photographed: &[Camera], count: u32, radius: f64) -> Result<Vec<N
     Ok((0..count).map(|i| (format!("{i:04}"), camera(i))).collect())
 }
 
-/// Distance between two cameras: of their places, and of what they see at `radius`.
+/// Distance between two cameras: between their positions, plus the arc between their viewing directions at `radius`.
 fn distance(a: &Camera, b: &Camera, radius: f64) -> f64 {
     let turn = a.rotation.z_axis.angle_between(b.rotation.z_axis);
     (a.origin - b.origin).length() + radius * turn
@@ -60,7 +61,7 @@ fn places(along: &[Camera], radius: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The cameras in their order, or from the first to the nearest that is left, if their order is a long detour.
+/// The cameras in their order or, if that is a long detour, from the first to the nearest camera left.
 fn ordered(photographed: &[Camera], radius: f64) -> Vec<Camera> {
     let length = |along: &[Camera]| places(along, radius).pop().unwrap_or(0.0);
     let mut left = photographed.to_vec();
@@ -73,13 +74,13 @@ fn ordered(photographed: &[Camera], radius: f64) -> Vec<Camera> {
     if length(photographed) > DETOUR * length(&nearest) { nearest } else { photographed.to_vec() }
 }
 
-/// The mean of the cameras around `at`, with Gaussian weights: of their places, looks and up directions.
+/// The mean of the cameras around `at`, with Gaussian weights: of their positions, viewing directions and up directions.
 fn smoothed(along: &[Camera], places: &[f64], at: f64, spread: f64) -> Camera {
     let away = |i: usize| ((places[i] - at) / spread).powi(2);
     let nearest = (0..along.len()).min_by(|&a, &b| away(a).total_cmp(&away(b))).unwrap_or(0);
     let (mut origin, mut back, mut up, mut sum) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO, 0.0);
     for (i, camera) in along.iter().enumerate() {
-        // Relative to the nearest, so that a place far from all keeps a weight.
+        // Relative to the nearest camera, so that a position far from all cameras keeps a weight.
         let weight = (0.5 * (away(nearest) - away(i))).exp();
         origin += weight * camera.origin;
         back += weight * camera.rotation.z_axis;
@@ -132,7 +133,7 @@ mod tests {
             assert!((camera.origin.length() / on_circle(0.0).origin.length() - 1.0).abs() < 0.01);
             assert_eq!(camera.intrinsics.lens, Default::default());
         }
-        // Even steps, apart from the ends, where the mean has one side.
+        // The steps are even, except at the ends, where the mean is one-sided.
         let steps: Vec<f64> = film.windows(2).map(|w| (w[1].1.origin - w[0].1.origin).length()).collect();
         let inner = &steps[12..87];
         let (least, most) = inner.iter().fold((f64::MAX, 0.0_f64), |(a, b), &s| (a.min(s), b.max(s)));
@@ -172,7 +173,7 @@ mod tests {
         assert_eq!(error.exit_code(), 2);
         assert!(error.message.contains("--turntable"), "{error}");
         assert!(cameras(&[], 10, 4.0).is_err());
-        // A camera that turns without moving makes one.
+        // A camera that turns without moving makes a film.
         let turned =
             Camera { rotation: DMat3::from_rotation_z(0.2) * on_circle(0.0).rotation, ..on_circle(0.0) };
         let film = cameras(&[on_circle(0.0), turned], 3, 4.0).unwrap();
@@ -180,7 +181,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any cameras, opposite ones too: every picture of the film has a rigid pose among them.
+        /// Any cameras, opposite ones too: every picture of the film has a rigid pose among the cameras.
         #[test]
         fn every_film_has_rigid_cameras_among_the_photographed(
             placed in prop::collection::vec((prop::array::uniform3(-5.0..5.0), 0.0..6.0, -1.5..1.5), 2..12),

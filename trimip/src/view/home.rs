@@ -1,4 +1,4 @@
-//! Where a viewer begins.
+//! The initial view of a viewer.
 
 use serde::Serialize;
 use trimip_core::{
@@ -6,10 +6,10 @@ use trimip_core::{
     config::{Contraction, SceneConfig},
 };
 
-/// Smallest and largest angle of view at the beginning, degrees.
+/// Smallest and largest angle of the initial view, degrees.
 const ANGLES: [f64; 2] = [30.0, 90.0];
 
-/// A view of a page.
+/// An initial view for a page.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Home {
     /// Camera-to-world matrix [R|t], row by row; axes right, up, back.
@@ -18,8 +18,8 @@ pub struct Home {
     pub fov: f64,
 }
 
-/// The view of the camera that is nearest to the middle of all training `cameras`: in a place, any view from outside shows what no
-/// photograph saw. `None` without cameras, and where space is bounded: all of its box is seen from outside.
+/// The view of the camera that is nearest to the middle of all training `cameras`: in an unbounded scene, any view from outside
+/// shows parts that no photograph saw. `None` without cameras, and for a bounded scene, whose whole box is visible from outside.
 pub fn home(scene: &SceneConfig, cameras: &[Camera]) -> Option<Home> {
     if scene.contraction == Contraction::None {
         return None;
@@ -31,7 +31,7 @@ pub fn home(scene: &SceneConfig, cameras: &[Camera]) -> Option<Home> {
     let (r, t, k) = (camera.rotation, camera.origin, camera.intrinsics);
     let row = |i: usize| [r.col(0)[i], r.col(1)[i], r.col(2)[i], t[i]];
     let rows = [row(0), row(1), row(2)];
-    // A window may be wide where the photograph is high.
+    // A window may be wide although the photograph is high, so the larger angle counts.
     let angle = |side: u32, focal: f64| 2.0 * (0.5 * f64::from(side) / focal).atan();
     let fov = angle(k.width, k.fx).max(angle(k.height, k.fy)).to_degrees();
     Some(Home { pose: std::array::from_fn(|i| rows[i / 4][i % 4]), fov: fov.clamp(ANGLES[0], ANGLES[1]) })
@@ -62,7 +62,7 @@ mod tests {
         assert_eq!([3, 7, 11].map(|i| home.pose[i]), [0.5, 5.0, 1.0]);
         let back = DVec3::new(home.pose[2], home.pose[6], home.pose[10]);
         assert!((back - cameras[1].origin.normalize()).length() < 1e-12);
-        // Of the longer side.
+        // The angle of the longer side.
         let expected = 2.0 * (1.5 * (0.35_f64).tan()).atan();
         assert!((home.fov - expected.to_degrees()).abs() < 1e-9, "{}", home.fov);
     }

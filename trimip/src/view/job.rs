@@ -1,4 +1,4 @@
-//! Many views rendered into one folder, in one go or several: which of them are done.
+//! Keeps track of the finished views of a folder, so that many views can be rendered in several sessions.
 
 use super::{Named, PictureFormat, Quantity, files::paths};
 use std::fs::{File, OpenOptions};
@@ -10,11 +10,11 @@ use trimip_core::{Error, Result, atomic::write_atomically, field::model::Model, 
 /// File of a folder that lists its finished views: the first line names the job, each other line a view.
 const LIST: &str = "views.txt";
 
-/// What the first line of the list begins with.
+/// Beginning of the first line of the list.
 const HEAD: &str = "views rendered by trimip, job ";
 
-/// The views of a folder that are finished. A job is a model, its cameras, and what is written of them; pictures of
-/// another job in the folder are rendered again.
+/// The finished views of a folder. A job is defined by a model, its cameras, and the quantities and format written;
+/// pictures of another job in the folder are rendered again.
 pub struct RenderJob {
     folder: PathBuf,
     what: Vec<Quantity>,
@@ -24,7 +24,7 @@ pub struct RenderJob {
 }
 
 impl RenderJob {
-    /// Opens the job of a folder, or begins it anew: if `fresh`, or if the folder holds none or another one.
+    /// Opens the job of a folder. Begins anew if `fresh`, or if the folder has no job or another one.
     ///
     /// # Errors
     /// When the list cannot be read or written.
@@ -47,7 +47,7 @@ impl RenderJob {
         let mut done = BTreeSet::new();
         match text.strip_prefix(&head) {
             Some(views) if !fresh => {
-                // A line without its end was not finished.
+                // A line without a line break is incomplete.
                 let whole = views.rfind('\n').map_or("", |end| &views[..=end]);
                 done.extend(whole.lines().map(str::to_string));
                 if views.len() > whole.len() {
@@ -67,13 +67,13 @@ impl RenderJob {
         Ok(Self { folder: folder.into(), what: what.to_vec(), format, done, list })
     }
 
-    /// The pictures of a view, if it is finished and they are there.
+    /// The pictures of a view, if the view is finished and its pictures exist.
     pub fn finished(&self, name: &str) -> Option<Vec<PathBuf>> {
         let paths = paths(&self.folder, name, &self.what, self.format);
         (self.done.contains(name) && paths.iter().all(|path| path.is_file())).then_some(paths)
     }
 
-    /// Notes that the pictures of a view are written.
+    /// Records that the pictures of a view are written.
     ///
     /// # Errors
     /// When the list cannot be written.
@@ -87,8 +87,8 @@ impl RenderJob {
     }
 }
 
-/// A number that differs for jobs whose pictures differ. The list of a folder holds it, so it is the same in every build of this
-/// version.
+/// A number that differs for jobs whose pictures differ. It is stored in the list of a folder, so it has to be the same in every
+/// build of this version.
 fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: PictureFormat) -> Result<u64> {
     let mut parts = vec![
         env!("CARGO_PKG_VERSION").as_bytes().to_vec(),
@@ -180,7 +180,8 @@ mod tests {
         assert_eq!(fs::read_to_string(here.join(LIST)).unwrap(), "milk\neggs\n");
     }
 
-    /// The first line of a list, which other builds read. The hash of the model is stated here, as its settings grow.
+    /// Checks the first line of a list, which other builds read. The hash of the model is computed here, because new settings
+    /// change it.
     #[test]
     fn a_list_names_its_job_by_a_stated_hash() {
         let folder = tempfile::tempdir().unwrap();

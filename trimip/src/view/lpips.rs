@@ -4,13 +4,13 @@ use rten::{Model, Value};
 use std::path::Path;
 use trimip_core::{Error, Result};
 
-/// Least side of pictures that are measured, pixels: the networks halve them four times.
+/// Minimum side of measured pictures, pixels: the networks halve it four times.
 const LEAST_SIDE: usize = 32;
 
-/// Side of the equal pictures that try a file, pixels.
+/// Side of the two equal pictures that test a file, pixels.
 const TRIAL: usize = 64;
 
-/// Greatest distance of equal pictures that rounding can give.
+/// Largest distance of equal pictures that rounding can cause.
 const ROUNDING: f32 = 1e-3;
 
 /// A loaded network.
@@ -19,10 +19,10 @@ pub struct Lpips {
 }
 
 impl Lpips {
-    /// Reads an ONNX file and tries it on two equal pictures, whose distance is 0.
+    /// Reads an ONNX file and tests it on two equal pictures, whose distance is 0.
     ///
     /// # Errors
-    /// Of kind `Input`, when the file cannot be read, or does not hold a network of two pictures and one number.
+    /// Of kind `Input`, when the file cannot be read, or is not a network from two pictures to one number.
     pub fn open(path: &Path) -> Result<Self> {
         let refuse = |what: String| {
             Error::input(

@@ -51,7 +51,7 @@ impl Watching for () {}
 pub struct RankGroup<'a> {
     /// The ranks.
     pub ranks: &'a dyn Ranks,
-    /// The model, which has to be the same on all of them.
+    /// The model, which has to be the same on all ranks.
     pub model: &'a Model,
 }
 
@@ -72,7 +72,7 @@ impl<'a> TestViews<'a> {
         self.frames.len().div_ceil(self.stride.max(1))
     }
 
-    /// Index of view number `job` of those that are compared.
+    /// Index of the frame of view number `job` among the compared ones.
     fn index(&self, job: usize) -> usize {
         job * self.stride.max(1)
     }
@@ -83,9 +83,9 @@ impl<'a> TestViews<'a> {
     }
 }
 
-/// Renders test views at every scale and compares them with their photographs; `perception` takes the slower measures ([`PerceptualMetrics`](super::PerceptualMetrics), or
-/// `&mut ()` for none). Returns `None` if `watch` cancelled it. With `group`, of which this is rank 0, all ranks measure; the
-/// others call [`evaluate_on_worker`] with the same model and frames.
+/// Renders test views at every scale and compares them with their photographs; `perception` computes the slower measures
+/// ([`PerceptualMetrics`](super::PerceptualMetrics), or `&mut ()` for none). Returns `None` if `watch` cancelled the evaluation. With
+/// `group`, all ranks measure: this process is rank 0, and the others call [`evaluate_on_worker`] with the same model and frames.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or another rank is gone.
@@ -140,7 +140,7 @@ pub fn evaluate(
     Ok(Some(Measured { views, scales, mean, seconds: started.elapsed().as_secs_f64() }))
 }
 
-/// What the jobs of [`evaluate`] are.
+/// Description of the jobs of [`evaluate`], which ranks compare.
 fn description(test: TestViews<'_>, model: &Model) -> Result<String> {
     let TestViews { frames, data, stride } = test;
     // The last bits of f64 may differ between machines.
@@ -154,7 +154,7 @@ fn description(test: TestViews<'_>, model: &Model) -> Result<String> {
     ]))
 }
 
-/// Measures the test views that rank 0 hands out in [`evaluate`]; `watch` stops a view.
+/// Measures the test views that rank 0 hands out in [`evaluate`]; `watch` can cancel a view.
 ///
 /// # Errors
 /// When rank 0 is gone, or measures other views.
@@ -174,7 +174,7 @@ pub fn evaluate_on_worker(
     })
 }
 
-/// Counts views.
+/// Forwards progress to the observer, with the number of views done.
 struct Progress<'a> {
     perception: &'a mut dyn Perception,
     watch: &'a mut dyn Watching,

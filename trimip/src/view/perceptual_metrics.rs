@@ -1,4 +1,4 @@
-//! Takes the measures of perception: MS-SSIM, LDR-FLIP and, with weights from a file, LPIPS.
+//! Computes the perceptual measures: MS-SSIM, LDR-FLIP and, with weights from a file, LPIPS.
 
 use super::{flip::flip_of_pictures, pictures};
 use trimip_core::{
@@ -10,7 +10,7 @@ use trimip_core::{
     },
 };
 
-/// The measures that this build and the settings have. FLIP and MS-SSIM run beside each other; LPIPS has all cores.
+/// The perceptual measures that this build and the settings have. FLIP and MS-SSIM run in parallel; LPIPS uses all cores.
 pub struct PerceptualMetrics {
     #[cfg(feature = "lpips")]
     lpips: Option<super::lpips::Lpips>,
@@ -61,8 +61,8 @@ impl Perception for PerceptualMetrics {
     }
 }
 
-/// Mean FLIP over the pixels that are compared, and the error of each, 0 for the others. Colours are rounded to 8 bits. A
-/// picture with a value that is not finite has no mean.
+/// Mean FLIP over the compared pixels, and the error of each pixel, 0 for the others. Colours are rounded to 8 bits. The mean is
+/// NaN if a rendered value is not finite.
 fn flip(pair: &Pair<'_>) -> (f64, Option<Vec<f32>>) {
     let picture = |rgb| pictures::rgb_image(pair.width as u32, pair.height as u32, rgb);
     let Some(mut errors) = flip_of_pictures(&picture(pair.rendered), &picture(pair.target)) else {
@@ -122,8 +122,8 @@ mod tests {
         use super::*;
         use crate::view::flip_colors;
 
-        /// FLIP of two pictures of one colour each by the equations of the paper, in f64: filters change nothing and there is
-        /// no edge, so the colours' difference is left.
+        /// FLIP of two pictures of one colour each by the equations of the paper, in f64: filters change nothing and there is no
+        /// edge, so only the difference of the colours remains.
         fn of_colors(a: [u8; 3], b: [u8; 3]) -> f64 {
             let linear = |byte: u8| {
                 let value = f64::from(byte) / 255.0;
@@ -172,7 +172,7 @@ mod tests {
             }
         }
 
-        /// A smooth pattern with some noise, in integers so that other programs have the same.
+        /// A smooth pattern with some noise, in integers so that other programs can reproduce it.
         fn pattern(width: u32, height: u32, seed: u32) -> Vec<[f32; 3]> {
             let byte = |x: u32, y: u32, c: u32| {
                 let noise = (x * 7919 + y * 104_729 + c * 31 + seed * 613).wrapping_mul(2_654_435_761) >> 27;
@@ -202,7 +202,7 @@ mod tests {
 
         #[test]
         fn pixels_that_are_not_compared_do_not_count_and_no_number_is_none() {
-            // The left half differs, and is left out where it is farther from the right one than a filter reaches.
+            // The left half differs. It is excluded with a margin that a filter does not reach across.
             let (width, height) = (60, 20);
             let left = |i: usize| i % width < 30;
             let target = vec![[0.5; 3]; width * height];

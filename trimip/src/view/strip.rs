@@ -1,5 +1,5 @@
-//! Eight views of a model beside each other: around an object, or, of a place, along the cameras of its photographs, which show
-//! nothing beyond. World units.
+//! Eight views of a model side by side: around a bounded scene, or, in an unbounded one, along the cameras of the photographs, so
+//! that the views show only what photographs saw. World units.
 
 use super::cameras::Named;
 use super::flythrough;
@@ -23,7 +23,8 @@ const ELEVATION: f64 = 20.0;
 const ANGLE: f64 = 40.0;
 
 /// The cameras of a strip with pictures of `side` × `side` pixels: a little from above around a bounded scene, along
-/// `photographed` through contracted space. Without two different cameras there the circle is its strip too.
+/// `photographed` through contracted space. Without two different cameras, the strip of contracted space is the circle
+/// too.
 ///
 /// # Errors
 /// When the scene has no upright view.
@@ -43,7 +44,7 @@ pub fn cameras(scene: &SceneConfig, photographed: &[Camera], side: u32) -> Resul
     turntable::cameras(scene, &table, intrinsics)
 }
 
-/// Views of these cameras beside each other, each `side` × `side` pixels; `None` if it is not done within `most`.
+/// Renders the views of these cameras side by side, each `side` × `side` pixels; `None` if that takes longer than `most`.
 ///
 /// # Errors
 /// When the device fails.

@@ -167,7 +167,8 @@ mod tests {
 
     #[test]
     fn a_cube_seen_along_an_axis_is_fitted_by_its_front() {
-        // Half a side is 1: the front face lies 1 before the centre and subtends 90 degrees from 1/FILL before it.
+        // Half a side is 1: the front face lies 1 in front of the centre, and from 1/FILL in front of the face it fills
+        // FILL of a picture of 90 degrees.
         let k = Intrinsics::from_angle(100, 100, std::f64::consts::FRAC_PI_2);
         let table = Turntable { count: 1, elevation: 0.0, distance: None, up: DVec3::Z };
         let found = cameras(&scene([0.0; 3], [1.0; 3]), &table, k).unwrap();

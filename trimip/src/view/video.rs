@@ -1,11 +1,11 @@
-//! Videos of rendered pictures, by the `ffmpeg` program of the system.
+//! Encodes rendered pictures as videos with the `ffmpeg` program of the system.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use trimip_core::{Error, Result};
 
-/// File names that are understood, by their ends.
+/// Supported extensions of file names.
 const ENDINGS: [&str; 4] = ["mp4", "mov", "mkv", "webm"];
 
 /// Quality of the encoder, on the scale of H.264's constant rate factor: no difference is visible in motion.
@@ -14,7 +14,7 @@ const QUALITY: &str = "16";
 /// Fails if a video of this name cannot be written on this machine.
 ///
 /// # Errors
-/// When the name's end is no video format, or there is no `ffmpeg`.
+/// When the extension is no supported video format, or there is no `ffmpeg`.
 pub fn check(path: &Path) -> Result<()> {
     let end = path.extension().map(|end| end.to_string_lossy().to_lowercase());
     if !end.is_some_and(|end| ENDINGS.contains(&end.as_str())) {
@@ -32,12 +32,12 @@ pub fn check(path: &Path) -> Result<()> {
     ))
 }
 
-/// Encodes PNG files of one size, in order, at `rate` pictures a second. The video is written beside its place and
-/// renamed. `watch` gets the number of pictures that are done and returns false to stop; the result is then false, and
-/// there is no video.
+/// Encodes PNG files of one size, in order, at `rate` pictures a second. The video is written to a temporary file next
+/// to `path`, then renamed. `watch` receives the number of pictures done and returns false to stop; the result is then
+/// false, and there is no video.
 ///
 /// # Errors
-/// When a picture cannot be read, or `ffmpeg` fails; the message has its last line.
+/// When a picture cannot be read, or `ffmpeg` fails; the message contains the last line of its output.
 pub fn encode(
     path: &Path,
     pictures: &[PathBuf],
@@ -45,7 +45,7 @@ pub fn encode(
     watch: &mut dyn FnMut(usize) -> bool,
 ) -> Result<bool> {
     let failed = |error: &dyn std::fmt::Display| Error::run(format!("{}: {error}", path.display()));
-    // The name keeps its end, by which ffmpeg chooses the format.
+    // The temporary name keeps the extension, by which ffmpeg chooses the format.
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let partial = path.with_file_name(format!(".{}.{name}", std::process::id()));
     let webm = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("webm"));
@@ -78,7 +78,7 @@ pub fn encode(
         }
     }
     if fed != Ok(true) {
-        // Ended already, if it does not take pictures; then this has no effect.
+        // If `ffmpeg` takes no more pictures it has already ended, and this has no effect.
         let _ = child.kill();
     }
     let output = child.wait_with_output().map_err(|error| failed(&error))?;
@@ -93,7 +93,7 @@ pub fn encode(
             Err(failed(&format!("{}: {last}", fed.err().unwrap_or_else(|| "ffmpeg failed".into()))))
         }
     };
-    // What is left of an unfinished video; it may not have begun.
+    // Removes the unfinished video, if there is one.
     let _ = std::fs::remove_file(&partial);
     result
 }
