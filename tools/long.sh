@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Trains for many steps under a watch: every ten seconds resident memory, open files, threads and the step, as CSV.
+# Trains for many steps and records, every ten seconds, resident memory, open files, threads and the step, as CSV.
 #
 #     tools/long.sh FOLDER [STEPS [SAMPLES_PER_STEP [OUT]]]
 #
-# Defaults: 100,000 steps of 8,192 samples. `TRIMIP` names the program; without it, the release build is made and used.
-# Ends with the first and the last quarter beside each other: memory and open files must not grow, the rate must not fall.
+# Defaults: 100,000 steps of 8,192 samples. `TRIMIP` is the path of the program; without it, the release build is made and used.
+# Finally prints the first and the last quarter for comparison: memory and open files must not grow, the rate must not fall.
 set -euo pipefail
 [ $# -ge 1 ] || { sed -n '2,8s/^# \{0,1\}//p' "$0"; exit 2; }
 data=$(realpath "$1") steps=${2:-100000} samples=${3:-8192}

@@ -5,12 +5,12 @@
     python tools/lpips_onnx.py lpips_vgg.onnx            # VGG 16; --net alex: AlexNet, a tenth of the time
     trimip-cli eval RUN --set eval.lpips=lpips_vgg.onnx  # a build with --features lpips
 
-The file has two inputs, `rendered` and `target`, of shape (1, 3, height, width): red, green and blue planes in [-1, 1], of any
-size from 32 pixels. Its output is one number, the distance. The package `lpips` brings the weights of the distance; torchvision
-downloads those of the network.
+The file has two inputs, `rendered` and `target`, of shape (1, 3, height, width): red, green and blue planes in [-1, 1], with at
+least 32 pixels per side. Its output is one number, the distance. The package `lpips` contains the weights of the distance;
+torchvision downloads those of the network.
 
-`--check` does without weights: it draws them at random and compares the file with PyTorch at two sizes, in onnx's own
-evaluator, which needs minutes, or in onnxruntime if that is installed. `--random` writes such a file.
+`--check` needs no weights: it draws random ones and compares the file with PyTorch at two sizes, in onnxruntime if that is
+installed, otherwise in onnx's own evaluator, which takes minutes. `--random` writes a file with random weights.
 """
 
 import argparse
@@ -20,13 +20,13 @@ import torch
 
 
 def network(net: str, random: bool) -> torch.nn.Module:
-    """The distance as a module of two pictures; `random` draws all weights."""
+    """Returns the distance as a module of two pictures; `random` draws all weights at random."""
     import lpips
 
     torch.manual_seed(0)
     module = lpips.LPIPS(net=net, pretrained=not random, pnet_rand=random, verbose=False)
     if random:
-        # Weights of the distance are not negative.
+        # The weights of the distance must not be negative.
         for layer in module.lins:
             for weights in layer.parameters():
                 torch.nn.init.uniform_(weights, 0.0, 1.0)
@@ -43,7 +43,7 @@ def network(net: str, random: bool) -> torch.nn.Module:
 
 
 def export(distance: torch.nn.Module, path: str) -> None:
-    """Writes the module as one file, with height and width left open."""
+    """Writes the module as an ONNX file with variable height and width."""
     pictures = tuple(torch.zeros(1, 3, 64, 64) for _ in range(2))
     axes = {2: "height", 3: "width"}
     torch.onnx.export(
@@ -59,7 +59,7 @@ def export(distance: torch.nn.Module, path: str) -> None:
 
 
 def evaluator(path: str):
-    """A function of two arrays that computes the file."""
+    """Returns a function of two arrays that evaluates the file."""
     try:
         import onnxruntime
 
@@ -72,7 +72,7 @@ def evaluator(path: str):
 
 
 def check(distance: torch.nn.Module, path: str) -> None:
-    """Compares the file with PyTorch; ends the program if they differ."""
+    """Compares the file with PyTorch, and exits with an error if they differ."""
     compute = evaluator(path)
     for height, width in [(64, 64), (50, 71)]:
         a, b = (2.0 * torch.rand(1, 3, height, width) - 1.0 for _ in range(2))

@@ -1,16 +1,16 @@
 //! Options and versions of the installed programs.
 
-/// What the programs at hand can do.
+/// What the installed pose programs can do.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Ability {
-    /// Their name with their version.
+    /// Name and version of the program that finds features and matches.
     pub name: String,
-    /// True if cameras can be placed all at once.
+    /// True if cameras can be placed all at once (global mapper).
     pub global: bool,
-    /// True if they cannot be placed otherwise.
+    /// True if the user asked for glomap, which has no incremental mapper.
     pub only_global: bool,
-    /// True if there is a GPU that they use.
+    /// True if the program uses CUDA and a GPU is present.
     pub gpu: bool,
-    /// Why not.
+    /// Why no GPU is used.
     pub why_no_gpu: String,
 }

@@ -1,5 +1,6 @@
-//! Counts in a database of COLMAP, which is a file of SQLite: features of each picture, and its verified matches. Of the format
-//! (<https://www.sqlite.org/fileformat2.html>) only what these counts need is read: whole tables, and the first values of their rows.
+//! Counts from a COLMAP database, which is an SQLite file: the features of each picture and its verified matches. The reader covers only
+//! the parts of the format (<https://www.sqlite.org/fileformat2.html>) that these counts need: whole tables, and the first values of their
+//! rows.
 
 use std::{
     collections::BTreeMap,
@@ -11,31 +12,31 @@ use std::{
 /// The first bytes of a database.
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 
-/// Bytes of the header before the first page's tree.
+/// Size of the file header, bytes. On page 1 it precedes the tree.
 const HEADER: usize = 100;
 
-/// Pages of a leaf and of a node of a table's tree.
+/// Types of the tree pages of a table: leaf and interior node.
 const LEAF: u8 = 0x0d;
 const NODE: u8 = 0x05;
 
-/// Most pages that are read: a file whose pages name each other in a ring ends too.
+/// Most pages that are read, so that a corrupt file whose pages refer to each other in a cycle ends too.
 const MOST_PAGES: usize = 10_000_000;
 
-/// The prime by which COLMAP packs two numbers of pictures into one of a pair.
+/// COLMAP's pair identifier is `first · PAIR + second` for the numbers of two pictures.
 const PAIR: u64 = 2_147_483_647;
 
-/// What a database tells of a picture.
+/// Counts of one picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Features.
     pub features: u64,
-    /// Pictures with which it has verified matches.
+    /// Pictures that have verified matches with this one.
     pub pairs: u64,
-    /// Most verified matches with another picture.
+    /// Most verified matches with a single other picture.
     pub most: u64,
 }
 
-/// The counts of all pictures by their names; `None` if the file is no such database.
+/// The counts of all pictures by name; `None` if the file is not a COLMAP database.
 pub fn counts(path: &Path) -> Option<BTreeMap<String, Counts>> {
     let mut file = Database::open(path)?;
     let roots = file.roots()?;
@@ -86,7 +87,7 @@ impl Database {
         let mut file = File::open(path).ok()?;
         let mut header = [0; HEADER];
         file.read_exact(&mut header).ok()?;
-        // The largest size does not fit in its two bytes.
+        // 65,536, the largest page size, does not fit in two bytes and is stored as 1.
         let page = match u16::from_be_bytes([header[16], header[17]]) {
             1 => 65_536,
             page => usize::from(page),
@@ -94,7 +95,7 @@ impl Database {
         (header.starts_with(MAGIC) && page >= 512).then_some(Self { file, page })
     }
 
-    /// Root pages of the tables by their names.
+    /// Root pages of the tables by table name.
     fn roots(&mut self) -> Option<BTreeMap<String, u32>> {
         let mut roots = BTreeMap::new();
         self.rows(1, &mut |_, values| {
@@ -115,7 +116,7 @@ impl Database {
         Some(page)
     }
 
-    /// Gives each row of a table to `take`: its number, and the values at its beginning.
+    /// Calls `take` with each row of a table: the row's number and its first values.
     fn rows(&mut self, root: u32, take: &mut dyn FnMut(u64, &[Value])) -> Option<()> {
         let mut next = vec![root];
         let mut read = 0;
@@ -154,7 +155,7 @@ fn u16_at(page: &[u8], at: usize) -> Option<u16> {
     page.get(at..)?.first_chunk().map(|bytes| u16::from_be_bytes(*bytes))
 }
 
-/// A number of 1 to 9 bytes, and what follows it.
+/// Reads a number of 1 to 9 bytes; returns it and the bytes after it.
 fn varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     let mut value = 0_u64;
     for index in 0..9 {
@@ -170,7 +171,7 @@ fn varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     None
 }
 
-/// The values at the beginning of a record, as far as they lie on its first page.
+/// The first values of a record, up to the end of its first page.
 fn values(record: &[u8]) -> Option<Vec<Value>> {
     let (length, _) = varint(record)?;
     let header = record.get(..usize::try_from(length).ok()?)?;
@@ -204,7 +205,7 @@ fn values(record: &[u8]) -> Option<Vec<Value>> {
 mod tests {
     use super::*;
 
-    /// A record of values, as SQLite writes them.
+    /// Encodes values as an SQLite record.
     fn record(values: &[Value]) -> Vec<u8> {
         let (mut header, mut body) = (Vec::new(), Vec::new());
         for value in values {
@@ -232,7 +233,7 @@ mod tests {
         bytes
     }
 
-    /// A leaf of 512 bytes.
+    /// A leaf page of 512 bytes.
     fn leaf(start: usize, rows: &[(u64, Vec<Value>)]) -> Vec<u8> {
         let mut page = vec![0; 512];
         page[start] = LEAF;
@@ -289,7 +290,7 @@ mod tests {
         let of = |features, pairs, most| Counts { features, pairs, most };
         assert_eq!(found["a.jpg"], of(900, 1, 70));
         assert_eq!((found["b.jpg"], found["c.jpg"]), (of(800, 2, 70), of(0, 1, 30)));
-        // Cut off anywhere it is no database, and no panic.
+        // A truncated file is rejected and does not panic, wherever it is cut.
         for length in (0..pages.concat().len()).step_by(37) {
             std::fs::write(&path, &pages.concat()[..length]).unwrap();
             let _ = counts(&path);

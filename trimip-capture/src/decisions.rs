@@ -1,100 +1,100 @@
-//! What a capture decides by itself, each with its reason: cameras, features, pairs, mapper.
+//! Decisions that a capture makes by itself, each with its reason: cameras, features, pairs, mapper.
 
 use super::{ability::Ability, pictures::Pictures};
 use crate::{Lens, Mapper, Matcher, Request};
 use serde::Serialize;
 use trimip::{Error, Result, formatting::count};
 
-/// Most photographs of which each is compared with each: 19,900 pairs.
+/// Most photographs for exhaustive matching: 19,900 pairs.
 const EXHAUSTIVE: usize = 200;
 
-/// Most pictures whose cameras are placed one after the other.
+/// Most pictures for an incremental mapper.
 const INCREMENTAL: usize = 300;
 
-/// Longest side for features, pixels: on a CPU, and on a GPU, COLMAP's own.
+/// Longest side of the pictures in which features are looked for, pixels: on a CPU, and on a GPU (COLMAP's default).
 const CPU_SIZE: u32 = 1600;
 const GPU_SIZE: u32 = 3200;
 
-/// Sizes of pictures that have a camera each, and the fewest pictures of a camera with many parameters.
+/// Most picture sizes that get one camera per size, and the fewest pictures that each of these sizes needs.
 const MOST_SIZES: usize = 8;
 const FEWEST_OF_A_SIZE: usize = 3;
 
-/// Neighbours of a frame that it is compared with; with doubled distances, up to 2^9 frames.
+/// Sequential matching compares each picture with this many neighbours, and at doubling distances up to 2^9 pictures.
 const OVERLAP: u32 = 10;
 
-/// Most pairs among evenly spread pictures, which close loops.
+/// Most loop-closing pairs among evenly spread pictures: of a film or where sequential matching is asked for, and of photographs.
 const LOOP_PAIRS: usize = 1500;
 const LOOP_PAIRS_OF_PHOTOGRAPHS: usize = 8000;
 
-/// How many cameras the pictures have.
+/// How many cameras the pictures share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cameras {
-    /// One for all.
+    /// One for all pictures.
     One,
-    /// One for each folder, which is each size.
+    /// One per folder; all pictures of a folder have one size.
     PerFolder,
-    /// One for each picture.
+    /// One per picture.
     PerImage,
 }
 
-/// Which pairs of pictures are compared.
+/// Pairs of pictures that are compared.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pairs {
-    /// Each with each.
+    /// Each picture with each other.
     Exhaustive,
-    /// Each with its next neighbours, and every so many pictures with each other.
+    /// Each picture with its next neighbours; to close loops, also all pairs among every `every`-th picture.
     Sequential {
-        /// Neighbours.
+        /// Number of neighbours.
         overlap: u32,
-        /// Every so many pictures are compared with each other; 0 = none.
+        /// Step between the pictures that are compared with each other to close loops; 0 = none.
         every: usize,
-        /// A vocabulary tree that closes loops instead.
+        /// Path of a vocabulary tree, which then closes loops instead.
         tree: Option<String>,
     },
-    /// Each with those that look alike.
+    /// Each picture with those that look alike.
     Vocabulary {
-        /// The tree.
+        /// Path of the vocabulary tree.
         tree: String,
     },
 }
 
-/// All decisions.
+/// All decisions of a capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Decisions {
-    /// Camera model by COLMAP's name.
+    /// COLMAP's name of the camera model.
     pub camera: &'static str,
     /// How many cameras.
     pub cameras: Cameras,
-    /// Whether the mapper finds the distortion of the lens; otherwise there is none.
+    /// True if the mapper estimates lens distortion; otherwise the distortion is zero.
     pub distortion: bool,
-    /// Longest side for features, pixels.
+    /// Longest side of the pictures in which features are looked for, pixels.
     pub size: u32,
-    /// Whether features and matches are found on a GPU.
+    /// True if features and matches are computed on a GPU.
     pub gpu: bool,
-    /// Pairs.
+    /// Pairs that are compared.
     pub pairs: Pairs,
-    /// All cameras at once.
+    /// True for the global mapper, which places all cameras at once.
     pub global: bool,
     /// Threads; 0 = all.
     pub threads: u32,
-    /// Each decision with its reason.
+    /// Each decision with its reason, as lines for the user.
     pub lines: Vec<String>,
 }
 
 impl Decisions {
-    /// The same without distortion, for a mapper that places one camera after the other; `None` if the lens has none anyway.
+    /// These decisions without lens distortion; `None` for the global mapper, or if the camera model has no distortion.
     pub fn without_distortion(&self) -> Option<Self> {
         let has_terms = !self.camera.ends_with("PINHOLE");
         (has_terms && !self.global).then(|| Self { distortion: false, ..self.clone() })
     }
 }
 
-/// Refuses options that do not fit each other or the programs. Returns the path of the vocabulary tree.
+/// Refuses options that contradict each other or the programs. Returns the path of the vocabulary tree.
 ///
 /// # Errors
-/// Of kind `Input`: a vocabulary tree that is missing, a mapper that no program has.
+/// Of kind `Input`: a missing vocabulary tree, or a mapper that no installed program has.
 pub fn expect(request: &Request, able: &Ability) -> Result<Option<String>> {
     match request.mapper {
         Some(Mapper::Global) if !able.global => {
@@ -131,7 +131,7 @@ pub fn expect(request: &Request, able: &Ability) -> Result<Option<String>> {
     }
 }
 
-/// Decides for pictures, by what the user gave and what the programs can do.
+/// Decides from the pictures, the user's options and the abilities of the programs.
 ///
 /// # Errors
 /// As [`expect`].
@@ -243,7 +243,7 @@ fn pairs(wanted: Option<Matcher>, of_film: bool, number: usize, tree: Option<Str
     }
 }
 
-/// The step between pictures of which `most` pairs are at most made; 0 where neighbours are all there is.
+/// The smallest step, from 2, at which the evenly spread pictures form at most `most` pairs; 0 if neighbours alone cover the pictures.
 fn spread(number: usize, most: usize) -> usize {
     if number <= 2 * OVERLAP as usize {
         return 0;

@@ -7,41 +7,41 @@ use std::cell::Cell;
 #[derive(Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Event<'a> {
-    /// Something the user should know.
+    /// A message for the user.
     Note {
-        /// A sentence.
+        /// The text.
         text: &'a str,
     },
     /// A stage begins.
     Begun {
         /// Name of the stage.
         stage: &'a str,
-        /// What it does first.
+        /// What the stage does first.
         doing: &'a str,
     },
     /// Part of a stage is done.
     Progress {
         /// Name of the stage.
         stage: &'a str,
-        /// What it does.
+        /// What the stage does.
         doing: &'a str,
-        /// Things that are done.
+        /// Number of items done.
         done: u64,
-        /// Things that there are.
+        /// Number of all items.
         total: u64,
     },
     /// A stage is done.
     Done {
         /// Name of the stage.
         stage: &'a str,
-        /// Time that it took.
+        /// Duration of the stage, seconds.
         seconds: f64,
-        /// True if an earlier call did it.
+        /// True if an earlier call did the stage.
         earlier: bool,
     },
 }
 
-/// Tells the events of one capture.
+/// Sends the events of one capture.
 pub(crate) struct Teller<'a> {
     events: &'a dyn Fn(&Event<'_>),
     stage: Cell<&'static str>,
@@ -52,23 +52,23 @@ impl<'a> Teller<'a> {
         Self { events, stage: Cell::new("") }
     }
 
-    /// Tells the user something.
+    /// Sends a message for the user.
     pub fn note(&self, text: &str) {
         (self.events)(&Event::Note { text });
     }
 
-    /// A stage begins.
+    /// Announces that a stage begins.
     pub fn begin(&self, stage: &'static str, doing: &str) {
         self.stage.set(stage);
         (self.events)(&Event::Begun { stage, doing });
     }
 
-    /// Part of the stage is done.
+    /// Reports that part of the stage is done.
     pub fn progress(&self, doing: &str, done: u64, total: u64) {
         (self.events)(&Event::Progress { stage: self.stage.get(), doing, done, total });
     }
 
-    /// A stage is done, or was by an earlier call.
+    /// Announces that a stage is done, by this call or an earlier one.
     pub fn done(&self, stage: &'static str, seconds: f64, earlier: bool) {
         (self.events)(&Event::Done { stage, seconds, earlier });
     }

@@ -1,6 +1,6 @@
-//! The folder of a capture: the names of its files, and which stages are done. A stage writes under temporary names, renames when all
-//! of it is there, and at last writes its state: what it was made of, and what it came to. A stage whose state is missing or was made
-//! of something else is done again, with all after it.
+//! The folder of a capture: its file names, and which stages are done. A stage writes its outputs under temporary names, renames them once
+//! all are complete, and writes its state last: its inputs and its result. A stage whose state is missing or has other inputs is done
+//! again, with all stages after it.
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
@@ -15,30 +15,30 @@ use trimip_core::{
     scene::fingerprint,
 };
 
-/// The stages, in their order.
+/// The stages of a capture, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// Photographs, or frames of a film, in `images/`.
+    /// Photographs, or frames of a film; written to `images/`.
     Pictures,
-    /// Features of each picture, in `features.db`.
+    /// Features of each picture; written to `features.db`.
     Features,
-    /// Matches of pairs of pictures, with the features in `database.db`.
+    /// Matches of pairs of pictures; written to `database.db` together with the features.
     Matches,
-    /// Cameras and points: all models in `models/`, the best in `sparse/0`.
+    /// Cameras and points: all models in `models/`, the best one in `sparse/0`.
     Model,
-    /// The page of what was understood, `inspect.html`.
+    /// The page with the results, `inspect.html`.
     Page,
 }
 
-/// Models of a second try, until the better ones are known.
+/// Output of a second run of the mapper, kept until one of the two results is chosen.
 pub const AGAIN: &str = "again";
 
-/// All stages.
+/// All stages, in order.
 const STAGES: [Stage; 5] = [Stage::Pictures, Stage::Features, Stage::Matches, Stage::Model, Stage::Page];
 
 impl Stage {
-    /// Its name in file names and events.
+    /// The stage's name in file names and events.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pictures => "pictures",
@@ -49,7 +49,7 @@ impl Stage {
         }
     }
 
-    /// What it writes.
+    /// The files and folders that the stage writes.
     fn outputs(self) -> &'static [&'static str] {
         match self {
             Self::Pictures => &["images"],
@@ -61,21 +61,21 @@ impl Stage {
     }
 }
 
-/// The state of a stage that is done.
+/// The state of a finished stage.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Done<T> {
-    /// What it was made of.
+    /// What the stage was computed from.
     pub inputs: Value,
-    /// How long it took, seconds.
+    /// Duration of the stage, seconds.
     pub seconds: f64,
-    /// What it came to.
+    /// Result of the stage.
     pub result: T,
 }
 
-/// The file whose lock the process holds that works on a capture.
+/// Lock file, held by the process that works on the capture.
 const LOCK: &str = "capture.lock";
 
-/// What marks a folder as that of a capture.
+/// Content of `capture.json`, which marks a folder as a capture's.
 #[derive(Serialize, Deserialize)]
 struct Mark {
     /// The path of the film, folder or archive.
@@ -83,7 +83,7 @@ struct Mark {
 }
 
 impl Mark {
-    /// True if this is the capture of `input`: of the same path, or of the same name where the earlier path is gone, because the
+    /// True if this is the capture of `input`: the path is equal, or the recorded path is gone and the file name is equal, because the
     /// input was moved.
     fn is_of(&self, input: &Path) -> bool {
         let own = Path::new(&self.input);
@@ -91,22 +91,22 @@ impl Mark {
     }
 }
 
-/// The folder of a capture, which this process alone writes.
+/// The folder of a capture. Only this process writes to it.
 pub struct Folder {
     root: PathBuf,
-    /// The lock is held while the file is open.
+    /// Holds the lock while the file is open.
     _lock: File,
 }
 
 impl Folder {
-    /// Opens or creates the folder for the input of this absolute path.
+    /// Opens or creates the folder for an input, given by its absolute path.
     ///
     /// # Errors
-    /// Of kind `Input`: a folder of something else or of another input, one that another process works on, one that cannot be written.
+    /// Of kind `Input`: the folder belongs to something else or to another input, another process works on it, or it cannot be written.
     pub fn open(root: &Path, input: &Path) -> Result<Self> {
         let path = root.join("capture.json");
         let refused = |what: String| Error::input(root.display(), what, "choose another --out folder");
-        // Whether the mark of this input is there.
+        // True if `capture.json` names this input.
         let marked = || {
             let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
             match found {
@@ -129,7 +129,7 @@ impl Folder {
                 "wait until it has ended, stop it, or choose another --out folder",
             ));
         }
-        // Another process may have begun the capture of another input in between.
+        // Another process may have created the capture of another input before the lock was taken.
         if !marked()? {
             write_atomically(&path, &json(&Mark { input: input.to_string_lossy().into_owned() })?)?;
         }
@@ -137,29 +137,29 @@ impl Folder {
         Ok(Self { root, _lock: lock })
     }
 
-    /// Its absolute path.
+    /// Absolute path of the folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// A file or folder in it.
+    /// Path of a file or folder in the capture.
     pub fn path(&self, name: &str) -> PathBuf {
         self.root.join(name)
     }
 
-    /// The log of a program.
+    /// Path of a program's log.
     pub fn log(&self, name: &str) -> PathBuf {
         self.root.join("log").join(format!("{name}.log"))
     }
 
-    /// The state of a stage, if it is done and all it wrote is there.
+    /// The state of a stage, if it is done and its first output exists.
     pub fn done<T: DeserializeOwned>(&self, stage: Stage) -> Option<Done<T>> {
         let done = serde_json::from_slice(&fs::read(self.state(stage)).ok()?).ok()?;
         let first = stage.outputs().first()?;
         self.path(first).exists().then_some(done)
     }
 
-    /// Forgets a stage and all after it: first that they are done, then what they wrote.
+    /// Discards a stage and all later ones: their states first, then their outputs.
     ///
     /// # Errors
     /// When something cannot be removed.
@@ -176,12 +176,12 @@ impl Folder {
         Ok(())
     }
 
-    /// The name under which an output is written until it is whole.
+    /// Path of an output while it is incomplete.
     pub fn temporary(&self, output: &str) -> PathBuf {
         self.path(&temporary(output))
     }
 
-    /// Gives an output its name.
+    /// Renames a complete output from its temporary to its final name.
     ///
     /// # Errors
     /// When it cannot be renamed.
@@ -192,7 +192,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Puts what was written for one output in the place of another.
+    /// Renames the temporary file or folder of `by` to that of `output`, which is removed.
     ///
     /// # Errors
     /// When something cannot be removed or renamed.
@@ -202,7 +202,7 @@ impl Folder {
         fs::rename(&from, &to).map_err(|error| unwritable(&to, &error))
     }
 
-    /// Removes what was written for an output.
+    /// Removes the temporary file or folder of an output.
     ///
     /// # Errors
     /// When it cannot be removed.
@@ -210,7 +210,7 @@ impl Folder {
         remove(&self.temporary(output))
     }
 
-    /// Gives a database its name, with what its program may have left beside it.
+    /// Renames a complete database, together with the `-wal` and `-shm` files that its program may have left next to it.
     ///
     /// # Errors
     /// When it cannot be renamed.
@@ -225,7 +225,7 @@ impl Folder {
         self.keep(output)
     }
 
-    /// Writes that a stage is done.
+    /// Records that a stage is done.
     ///
     /// # Errors
     /// When the state cannot be written.
@@ -242,12 +242,12 @@ impl Folder {
     }
 }
 
-/// The file of a stage's state, which is there if the stage is done.
+/// Path of a stage's state. The file exists if the stage is done.
 pub fn state(root: &Path, stage: Stage) -> PathBuf {
     root.join("state").join(format!("{}.json", stage.name()))
 }
 
-/// The name under which an output is written until it is whole; it keeps its ending.
+/// Name of an output while it is incomplete; its file extension stays.
 pub fn temporary(output: &str) -> String {
     match output.split_once('.') {
         Some((stem, ending)) => format!("{stem}.part.{ending}"),
@@ -255,12 +255,12 @@ pub fn temporary(output: &str) -> String {
     }
 }
 
-/// A number that tells values apart.
+/// A hash that distinguishes values, as 16 hexadecimal digits.
 pub fn digest(value: &impl Serialize) -> Result<String> {
     Ok(format!("{:016x}", fingerprint::hash(&json(value)?)))
 }
 
-/// An error of the system at a path.
+/// The error for a path that the system cannot write.
 pub fn unwritable(path: &Path, error: &io::Error) -> Error {
     Error::input(
         path.display(),
@@ -275,15 +275,15 @@ fn json(value: &impl Serialize) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Removes a file or a folder, if it is there.
+/// Removes a file or a folder, if it exists.
 fn remove(path: &Path) -> Result<()> {
     let Ok(found) = path.symlink_metadata() else { return Ok(()) };
     let removed = if found.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
     removed.map_err(|error| unwritable(path, &error))
 }
 
-/// True if a folder holds anything, or is no folder. A capture that was killed at its start leaves an empty one, its lock, or the
-/// temporary file of its mark.
+/// True if the path is not a folder, or if the folder holds files that no capture left. A capture that was killed at its start leaves an
+/// empty folder, its lock, or the temporary file of its mark.
 fn is_others(root: &Path) -> bool {
     let own =
         |name: &std::ffi::OsStr| [LOCK, "capture.json.tmp", "capture.json"].iter().any(|own| name == *own);
@@ -340,7 +340,7 @@ mod tests {
         drop(first);
         assert!(refused(&run).unwrap().contains(&format!("holds the capture of {}", walk.display())));
         assert_eq!(refused(&walk), None);
-        // Another film of the same name is another input; a film that was moved is not.
+        // Another film with the same file name is another input; a film that was moved is not.
         let moved = folder.path().join("walk.mp4");
         assert!(refused(&moved).unwrap().contains("holds the capture of"));
         fs::rename(&walk, &moved).unwrap();

@@ -1,19 +1,19 @@
-//! A grey picture and what it tells: how sharp it is, how bright, and itself at a small size.
+//! A grey picture: its sharpness, its brightness, and its reduction to a small size.
 
 /// A picture of grey levels, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Grey {
-    /// Pixels along a row.
+    /// Width, pixels.
     pub width: usize,
-    /// Rows.
+    /// Height, pixels.
     pub height: usize,
-    /// Levels.
+    /// Grey levels.
     pub pixels: Vec<u8>,
 }
 
 impl Grey {
-    /// Variance of the Laplacian over the picture, grey levels squared: blur takes it away (Pech-Pacheco et al. 2000). Noise adds to
-    /// it, so that it compares pictures of one camera and one subject alone.
+    /// Variance of the Laplacian over the picture, grey levels squared. Blur lowers it (Pech-Pacheco et al. 2000). Noise raises it, so only
+    /// pictures of one camera and one subject can be compared.
     pub fn sharpness(&self) -> f64 {
         let (width, height) = (self.width, self.height);
         if width < 3 || height < 3 {
@@ -44,7 +44,7 @@ impl Grey {
         sum as f64 / self.pixels.len().max(1) as f64
     }
 
-    /// The picture with squares of `side` pixels averaged; what does not fill a square is cut off.
+    /// The picture with squares of `side` pixels averaged; an incomplete square at the edge is cut off.
     pub fn reduced(&self, side: usize) -> Self {
         let (width, height) = (self.width / side, self.height / side);
         let mut pixels = Vec::with_capacity(width * height);

@@ -1,6 +1,6 @@
-//! The process between this program and another that it calls. It ends that one, with all that it started, once this program is
-//! gone, however it ended: a pipe ties the two, and its end is the sign. Both are in a group of processes of their own, so Ctrl-C of
-//! a terminal reaches this program alone, which then ends the group.
+//! The guard: a process between this program and a program that it calls. Once this program has ended, for whatever reason, the guard ends
+//! the called program and all that it started. It notices the end by a pipe, whose other end closes with this program. The guard and its
+//! program form a process group of their own, so Ctrl-C in a terminal reaches only this program, which then ends the group.
 
 use std::{
     ffi::OsString,
@@ -12,25 +12,26 @@ use std::{
 };
 use trimip::{Error, Result};
 
-/// The program that becomes a guard, and its first arguments.
+/// The program that serves as the guard, and its first arguments.
 static PROGRAM: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
-/// Set in the environment of a guard.
+/// Environment variable that is set for a guard.
 const GUARD: &str = "TRIMIP_GUARDS_A_PROGRAM";
 
-/// Exit code of a guard whose program cannot be started, by the convention of shells.
+/// Exit code of a guard whose program cannot be started, by shell convention.
 pub(crate) const NOT_STARTED: u8 = 127;
 
-/// Makes `program`, called with `arguments` and the words of a guarded program, the guard. By default it is this program. What becomes
-/// one calls [`run`] first of all where [`is_one`].
+/// Makes `program` the guard; it is called with `arguments`, followed by the path of the guarded program and its arguments. The default is
+/// this program itself. A program that serves as the guard must call [`run`] first of all if [`is_one`].
 pub fn set_program(program: PathBuf, arguments: Vec<OsString>) {
     PROGRAM.get_or_init(|| (program, arguments));
 }
 
-/// A guarded program, to which arguments are added. While the pipe to its standard input is open it may run.
+/// A command for a guarded program; the caller adds its arguments. The program may run while the pipe to the command's standard input is
+/// open.
 ///
 /// # Errors
-/// When this program does not know its own path.
+/// When the path of this program cannot be determined.
 pub(crate) fn command(program: &Path) -> Result<Command> {
     let (own, arguments) = match PROGRAM.get() {
         Some((own, arguments)) => (own.clone(), &arguments[..]),
@@ -47,12 +48,12 @@ pub(crate) fn command(program: &Path) -> Result<Command> {
     Ok(command)
 }
 
-/// True in a guard.
+/// True if this process is a guard.
 pub fn is_one() -> bool {
     std::env::var_os(GUARD).is_some()
 }
 
-/// Runs the program that `words` name, with its arguments, and returns its exit code: 128 + the signal where one ended it.
+/// Runs the program given by `words` (its path, then its arguments). Returns its exit code, or 128 + the signal that ended it.
 pub fn run(words: impl IntoIterator<Item = OsString>) -> u8 {
     let mut words = words.into_iter();
     let Some(program) = words.next() else { return NOT_STARTED };
@@ -67,7 +68,7 @@ pub fn run(words: impl IntoIterator<Item = OsString>) -> u8 {
     };
     let id = child.id();
     let tie = move || {
-        // Nobody writes: the read ends with the pipe.
+        // Nothing is ever written to the pipe: the read returns when the pipe closes.
         let _ = std::io::stdin().lock().read(&mut [0]);
         end_group(id);
     };
@@ -78,7 +79,7 @@ pub fn run(words: impl IntoIterator<Item = OsString>) -> u8 {
     child.wait().map_or(NOT_STARTED, code)
 }
 
-/// The exit code of a program, or 128 + the signal that ended it.
+/// Exit code of a program, or 128 + the signal that ended it.
 fn code(status: ExitStatus) -> u8 {
     #[cfg(unix)]
     {
@@ -87,11 +88,11 @@ fn code(status: ExitStatus) -> u8 {
             return 128_u8.wrapping_add(signal as u8);
         }
     }
-    // Windows has larger codes for what a system ends; they are no success.
+    // Windows uses larger codes for programs that the system ends. They must not wrap to 0, which means success.
     status.code().map_or(255, |code| u8::try_from(code).unwrap_or(255))
 }
 
-/// Ends the whole group, the guard with it.
+/// Ends the whole process group, including the guard.
 #[cfg(unix)]
 fn end_group(_: u32) {
     use nix::{
@@ -101,7 +102,7 @@ fn end_group(_: u32) {
     let _ = kill(Pid::from_raw(0), Signal::SIGKILL);
 }
 
-/// Ends the program with all that it started, and the guard.
+/// Ends the program with all that it started, and then the guard.
 #[cfg(not(unix))]
 fn end_group(id: u32) {
     let mut command = Command::new("taskkill");

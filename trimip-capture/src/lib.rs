@@ -1,5 +1,6 @@
-//! From a film or a folder of photographs to a scene with cameras: pictures, features, matches, a model and a page, each a stage that
-//! is kept once it is done. Other programs do the work; this one finds them, chooses, watches and checks.
+//! From a film or a folder of photographs to a scene with cameras, in five stages: pictures, features, matches, a model and a page. The
+//! result of each stage is kept. Other programs do the computation; this crate finds them, chooses their options, watches them and checks
+//! their results.
 
 #![forbid(unsafe_code)]
 
@@ -45,21 +46,21 @@ use trimip_data::unwatched;
 use trimip_report::inspect::UnplacedPicture;
 use unplaced::Unplaced;
 
-/// Pictures without a pose that are named in the terminal.
+/// Most pictures without a pose that are listed in the terminal.
 const NAMED: usize = 8;
 
-/// A capture that is done.
+/// A finished capture.
 pub struct Captured {
-    /// Its folder, as the user may type it.
+    /// Folder of the capture, as the user may type it.
     pub root: PathBuf,
-    /// Longest sides of its pictures, pixels: width, height.
+    /// Largest width and largest height of the pictures, pixels.
     pub size: [u32; 2],
 }
 
 /// The result of the model stage.
 #[derive(Serialize, Deserialize)]
 struct Placement {
-    /// The options of the user. A later command compares its own with these.
+    /// Digest of the pictures and the user's options; a later command compares its own with these.
     asked: Value,
     /// The program that placed the cameras.
     program: String,
@@ -67,8 +68,8 @@ struct Placement {
     models: Models,
 }
 
-/// Captures what `request` names, and goes on from what an earlier call did. `events` gets every event. A caller that sets `stop` ends
-/// the call and the programs that it runs.
+/// Captures what `request` names, and continues from the results of an earlier call. `events` receives every event. Setting `stop` ends the
+/// call and the programs that it runs.
 ///
 /// # Errors
 /// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` after a stop.
@@ -93,17 +94,17 @@ pub fn run(request: &Request, stop: &AtomicBool, events: &dyn Fn(&Event<'_>)) ->
     Capture { request, folder, teller, stop }.whole(&source, &root)
 }
 
-/// `captures/` and the name of what is captured.
+/// `captures/` and the name of the input.
 fn default_folder(input: &Path) -> PathBuf {
     let whole = input.canonicalize().unwrap_or_else(|_| input.to_path_buf());
     let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
     Path::new("captures").join(name.unwrap_or("capture".as_ref()))
 }
 
-/// Refuses to write into the folder that is captured: the next command would take what this one wrote for photographs.
+/// Refuses to write into the folder that is captured, because the next command would take the written pictures for photographs.
 fn expect_outside(input: &Path, root: &Path) -> Result<()> {
     let (Ok(input), Ok(whole)) = (input.canonicalize(), std::path::absolute(root)) else { return Ok(()) };
-    // The nearest folder that exists already.
+    // The nearest folder that exists.
     let above = whole.ancestors().find_map(|folder| folder.canonicalize().ok());
     if !input.is_dir() || !above.is_some_and(|folder| folder.starts_with(&input)) {
         return Ok(());
@@ -115,8 +116,7 @@ fn expect_outside(input: &Path, root: &Path) -> Result<()> {
     ))
 }
 
-/// Fails before anything is written where the options do not fit, or a program is missing that an earlier command did not do the
-/// work of.
+/// Fails, before anything is written, if options contradict each other or a program is missing for a stage that is not done.
 fn expect_programs(request: &Request, source: &Source, root: &Path) -> Result<()> {
     let is_done = |stage: Stage| !request.fresh && folder::state(root, stage).is_file();
     if let Source::Film(film) = source
@@ -132,7 +132,7 @@ fn expect_programs(request: &Request, source: &Source, root: &Path) -> Result<()
     Ok(())
 }
 
-/// A capture on its way.
+/// A capture in progress.
 struct Capture<'a> {
     request: &'a Request,
     folder: Folder,
@@ -152,7 +152,7 @@ impl Capture<'_> {
         Ok(Captured { root: root.into(), size: [width, height] })
     }
 
-    /// The result of a stage: that of an earlier command if it was made of the same, otherwise of `work`.
+    /// The result of a stage: the stored one if it has the same inputs, otherwise the result of `work`.
     fn stage<T: Serialize + serde::de::DeserializeOwned>(
         &self,
         stage: Stage,
@@ -240,7 +240,7 @@ impl Capture<'_> {
         Ok(pictures)
     }
 
-    /// Features, matches and a model.
+    /// Computes features, matches and a model.
     fn placement(&self, pictures: &Pictures) -> Result<Placement> {
         let asked = self.asked(pictures)?;
         let earlier =
@@ -304,14 +304,14 @@ impl Capture<'_> {
         )
     }
 
-    /// What the user asked for of the cameras of these pictures.
+    /// Digest of the pictures and the options that affect their cameras.
     fn asked(&self, pictures: &Pictures) -> Result<Value> {
         let Request { poses, camera, matcher, vocab_tree, mapper, size, .. } = self.request;
         let options = format!("{poses:?} {camera:?} {matcher:?} {vocab_tree:?} {mapper:?} {size:?}");
         Ok(json!({ "pictures": digest(&pictures.pictures)?, "options": options }))
     }
 
-    /// The program that found the features that are there.
+    /// The program that computed the stored features, if there are any.
     fn began_with(&self) -> Option<PosesProgram> {
         let done = self.folder.done::<Value>(Stage::Features)?;
         let program = done.inputs["program"].as_str()?;
@@ -356,7 +356,7 @@ impl Capture<'_> {
         Ok(models)
     }
 
-    /// The models that the mapper writes for an output.
+    /// Runs the mapper into the temporary folder of `output` and reads the models that it writes.
     fn models(
         &self,
         poses: &Poses,
@@ -371,7 +371,7 @@ impl Capture<'_> {
         models::read(&self.folder.path(part))
     }
 
-    /// What was placed and what was not, with reasons.
+    /// Reports the placed cameras; returns the pictures without a camera, with reasons.
     fn tell(&self, pictures: &Pictures, placement: &Placement) -> Vec<Unplaced> {
         let models = &placement.models;
         let Some(best) = models.models.first() else { return Vec::new() };
@@ -416,7 +416,7 @@ impl Capture<'_> {
         unplaced
     }
 
-    /// Writes the page of what was understood.
+    /// Writes the page with the results.
     fn page(
         &self,
         root: &Path,

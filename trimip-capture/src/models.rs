@@ -1,5 +1,5 @@
-//! The models that a mapper wrote: several where pictures fall apart into groups without a common point. The one with most pictures is
-//! taken.
+//! The models that a mapper wrote. There are several where the pictures fall apart into groups without common points; the one with the most
+//! soundly placed pictures is used.
 
 use super::folder::unwritable;
 use serde::{Deserialize, Serialize};
@@ -12,33 +12,33 @@ use trimip::Result;
 use trimip_core::scene::strays::{LOST, lost};
 use trimip_data::colmap::Model;
 
-/// A model.
+/// A model of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Placed {
-    /// Its folder in `models/`.
+    /// Folder of the model in `models/`.
     pub folder: String,
-    /// Pictures whose cameras it has.
+    /// Pictures whose cameras the model contains.
     pub pictures: BTreeSet<String>,
     /// Pictures of this model with a [lost](trimip_core::scene::strays::lost) camera.
     #[serde(default)]
     pub lost: BTreeSet<String>,
-    /// Number of its points.
+    /// Number of points of the model.
     pub points: usize,
-    /// Mean distance of points from their features, pixels, over points.
+    /// Mean reprojection error over the points, pixels; `None` if the model states none.
     pub error: Option<f64>,
 }
 
 impl Placed {
-    /// Number of its pictures whose cameras are not lost.
+    /// Number of pictures of this model whose cameras are not lost.
     pub fn sound(&self) -> usize {
         self.pictures.len() - self.lost.len()
     }
 }
 
-/// What the mapper came to: all models, that with most pictures first.
+/// Result of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Models {
-    /// The models.
+    /// All models; the one with the most pictures whose cameras are not lost comes first.
     pub models: Vec<Placed>,
 }
 
@@ -48,7 +48,7 @@ impl Models {
         self.models.first().map_or(0, Placed::sound)
     }
 
-    /// A count of the best model's lost cameras in words; `None` if it has none.
+    /// The number of lost cameras in the best model, in words; `None` if it has none.
     pub fn lost(&self) -> Option<String> {
         let best = self.models.first().filter(|best| !best.lost.is_empty())?;
         Some(format!(
@@ -59,7 +59,8 @@ impl Models {
     }
 }
 
-/// Reads the models in the folders of `root`, that with most pictures first.
+/// Reads the models in the folders of `root`. The one with the most pictures whose cameras are not lost comes first, among equals the one
+/// with more points.
 ///
 /// # Errors
 /// When a model cannot be read.
@@ -68,7 +69,7 @@ pub fn read(root: &Path) -> Result<Models> {
     let mut folders: Vec<PathBuf> =
         entries.flatten().map(|entry| entry.path()).filter(|path| holds_model(path)).collect();
     folders.sort();
-    // Some write one model into the folder itself.
+    // Some mappers write a single model directly into the folder.
     if folders.is_empty() && holds_model(root) {
         folders.push(root.into());
     }
@@ -87,7 +88,7 @@ fn placed(root: &Path, folder: &Path) -> Result<Placed> {
     let errors: Vec<f64> =
         model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
     let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
-    // The reader of the scene names a camera that it cannot read.
+    // Cameras that cannot be read are reported later, by the reader of the scene.
     let lost = model.cameras_of_images(&name).map_or_else(|_| Vec::new(), |cameras| lost(&cameras));
     Ok(Placed {
         folder: name,

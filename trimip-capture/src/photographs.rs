@@ -1,5 +1,5 @@
-//! Photographs of a folder as pictures of a capture: linked or copied as they are, HEIC converted by a program of the system. Those
-//! of one size share a folder, and so a camera.
+//! Turns the photographs of a folder into pictures of a capture: linked or copied as they are, and HEIC converted by a program of the
+//! system. If sizes differ, the pictures of each size share a folder, and so a camera.
 
 use super::{
     pictures::{LeftOut, Picture, Pictures},
@@ -17,8 +17,8 @@ use std::{
 };
 use trimip::{Error, Result};
 
-/// Programs that read HEIC, in the order in which they are tried: name, arguments before and after the two files. JPEG of the best
-/// quality keeps what the camera says of its lens, which COLMAP begins with.
+/// Programs that read HEIC, in the order in which they are tried: name, arguments before the input file, arguments between the two files.
+/// JPEG of the best quality keeps the lens data of EXIF, from which COLMAP starts.
 const CONVERTERS: [Converter; 6] = [
     Converter { name: "heif-convert", before: &["-q", "100"], between: &[] },
     Converter { name: "heif-dec", before: &["-q", "100"], between: &[] },
@@ -32,12 +32,12 @@ const CONVERTERS: [Converter; 6] = [
     Converter {
         name: "ffmpeg",
         before: &["-hide_banner", "-nostdin", "-y", "-i"],
-        // A percent sign in the name of the picture is no number with `-update`.
+        // With `-update`, a percent sign in the name of the picture is not read as a number pattern.
         between: &["-frames:v", "1", "-q:v", "1", "-qmin", "1", "-update", "1"],
     },
 ];
 
-/// First version of ffmpeg that puts the tiles of a HEIC image together; earlier ones give the first tile alone.
+/// First version of ffmpeg that assembles the tiles of a HEIC image; earlier ones return only the first tile.
 const FFMPEG_WITH_TILES: u32 = 7;
 
 /// A program that converts a photograph.
@@ -48,17 +48,17 @@ struct Converter {
 }
 
 impl Converter {
-    /// The program, if it is there and the right one.
+    /// Path of the program, if it is installed and suitable.
     fn program(&self) -> Option<PathBuf> {
         let program = programs::find(self.name)?;
         match self.name {
-            // A tool for disks has this name there.
+            // On Windows, `convert` is a disk tool.
             "convert" if cfg!(windows) => None,
             "ffmpeg" => {
                 let version = ask(&program, &["-version"])?;
                 let first = version.strip_prefix("ffmpeg version ")?;
                 let digits: String = first.chars().take_while(char::is_ascii_digit).collect();
-                // Builds between versions have a name instead.
+                // Development builds have a name in place of a version number.
                 digits.parse().map_or(true, |major: u32| major >= FFMPEG_WITH_TILES).then_some(program)
             }
             _ => Some(program),
@@ -66,10 +66,10 @@ impl Converter {
     }
 }
 
-/// Makes the pictures in `folder`, which is new, below `root`.
+/// Writes the pictures to the new folder `folder` below `root`.
 ///
 /// # Errors
-/// When no program converts what has to be converted, a file cannot be written, or too few photographs are whole.
+/// When no program converts a photograph that needs it, a file cannot be written, or too few photographs are readable.
 pub fn make(
     photographs: &[Photograph],
     root: &Path,
@@ -136,7 +136,7 @@ pub fn make(
     Ok(pictures)
 }
 
-/// Conversions, all by the first program that can do the first.
+/// Converts photographs. The first program that succeeds converts all of them.
 struct Converting<'a> {
     root: &'a Path,
     log: &'a Path,
@@ -152,7 +152,7 @@ impl Converting<'_> {
         let mut failed = None;
         for converter in &CONVERTERS {
             let Some(program) = converter.program() else { continue };
-            // Builds of the others may lack HEIC: only a file shows it.
+            // A program may be built without HEIC support: only a trial shows it.
             match self.by(&program, converter, from, to) {
                 Ok(()) => {
                     self.working = Some((program, converter));
@@ -188,7 +188,7 @@ impl Converting<'_> {
         if to.is_file() {
             return Ok(());
         }
-        // Of a burst or a live photograph, the first picture.
+        // A file with several images (a burst, a live photograph) gives numbered pictures; the first is used.
         let numbered =
             to.with_file_name(format!("{}-1.jpg", to.file_stem().unwrap_or_default().to_string_lossy()));
         fs::rename(&numbered, to).map_err(|_| {
@@ -202,9 +202,9 @@ impl Converting<'_> {
     }
 }
 
-/// Gives a file a second name, or copies it where that cannot be. It stays as it is.
+/// Hard-links a file, or copies it where a link is impossible. The original is not changed.
 fn link(from: &Path, to: &Path) -> Result<()> {
-    // A link to a symbolic link would break where that is relative.
+    // The target of a symbolic link is linked: a relative symbolic link would break in another folder.
     let whole = from.canonicalize().unwrap_or_else(|_| from.into());
     if fs::hard_link(&whole, to).is_ok() {
         return Ok(());
@@ -218,7 +218,7 @@ fn link(from: &Path, to: &Path) -> Result<()> {
     })
 }
 
-/// Width and height of a photograph as stored, and whether a tag says that it is shown turned; otherwise why it has none.
+/// Stored width and height of a photograph, and whether EXIF says that it is rotated; otherwise why it cannot be read.
 fn size(path: &Path) -> std::result::Result<([u32; 2], bool), String> {
     let read = || -> image::ImageResult<_> {
         let mut decoder = ImageReader::open(path)?.with_guessed_format()?.into_decoder()?;
@@ -228,7 +228,7 @@ fn size(path: &Path) -> std::result::Result<([u32; 2], bool), String> {
     read().map_err(|error| format!("cannot be read: {error}"))
 }
 
-/// A plain file name for each photograph, unique also where names differ by their case alone.
+/// A plain file name for each photograph, unique even on file systems that ignore case.
 fn unique_names(photographs: &[Photograph]) -> Vec<String> {
     let plain = |photograph: &Photograph| {
         let name = plain_name(&photograph.name.file_name().unwrap_or_default().to_string_lossy());
@@ -261,7 +261,7 @@ fn unique_names(photographs: &[Photograph]) -> Vec<String> {
     photographs.iter().map(name).collect()
 }
 
-/// Lists of pairs have blanks between names, and lines that begin with # are comments there.
+/// Replaces blanks and `#`: COLMAP's lists of pairs have blanks between names, and `#` begins a comment there.
 fn plain_name(name: &str) -> String {
     name.replace(|c: char| c.is_whitespace() || c == '#', "_")
 }

@@ -1,53 +1,53 @@
-//! The pictures of a capture: what the first stage came to.
+//! The pictures of a capture: the result of the first stage.
 
 use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, path::Path};
 use trimip::{Error, Result, formatting::count};
 
-/// Fewest pictures of which cameras can be found.
+/// Fewest pictures from which cameras can be estimated.
 const FEWEST: usize = 3;
 
-/// A picture that COLMAP sees.
+/// A picture that COLMAP uses.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Picture {
-    /// Its path in `images/`, with slashes.
+    /// Path in `images/`, with slashes.
     pub name: String,
-    /// The photograph below the folder of the user, or the frame of the film.
+    /// Path of the photograph in the user's folder, or frame of the film.
     pub source: String,
     /// Width and height, pixels.
     pub size: [u32; 2],
-    /// Time in the film, seconds.
+    /// Time of the frame in the film, seconds.
     pub seconds: Option<f64>,
-    /// Variance of the Laplacian of a frame, grey levels squared; `None` if it was not measured.
+    /// Variance of the frame's Laplacian, grey levels squared; `None` if it was not measured.
     pub sharpness: Option<f64>,
 }
 
-/// A photograph that is no picture of the capture.
+/// A photograph that is not used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LeftOut {
-    /// The photograph.
+    /// Path of the photograph in the user's folder.
     pub name: String,
-    /// Why.
+    /// Why it is left out.
     pub reason: String,
 }
 
 /// All pictures, in the order of their names.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pictures {
-    /// Those that are there.
+    /// Pictures that COLMAP uses.
     pub pictures: Vec<Picture>,
-    /// Those that are not.
+    /// Photographs that are left out.
     pub left_out: Vec<LeftOut>,
     /// True for frames of a film.
     pub of_film: bool,
     /// The program that converted photographs.
     pub converted_by: Option<String>,
-    /// What was found on the way, a line each.
+    /// Remarks for the user, a line each.
     pub notes: Vec<String>,
 }
 
 impl Pictures {
-    /// Refuses too few.
+    /// Refuses fewer than three pictures.
     ///
     /// # Errors
     /// Of kind `Input`.
@@ -64,7 +64,7 @@ impl Pictures {
         ))
     }
 
-    /// True if every picture is a file in `folder`.
+    /// True if every picture exists in `folder`.
     pub fn are_in(&self, folder: &Path) -> bool {
         self.pictures.iter().all(|picture| folder.join(&picture.name).is_file())
     }

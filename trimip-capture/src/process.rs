@@ -1,5 +1,5 @@
-//! A call of another program: its output into a log file and, line by line, to whoever counts its progress; its end with ours; the
-//! last lines of one that fails.
+//! Calls other programs: writes their output to a log file, passes it line by line to a progress counter, ends a program when this one
+//! ends, and reports the last lines of a program that fails.
 
 use super::guard;
 use std::{
@@ -18,53 +18,54 @@ use std::{
 };
 use trimip::{Error, Result};
 
-/// How often a stop is looked for while a program is silent.
+/// Interval at which the stop flag is polled while a program is silent.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// Bytes that are read at once, and parts that may wait.
+/// Bytes that are read at once, and parts that may wait in the channel.
 const CHUNK: usize = 1 << 16;
 const WAITING: usize = 64;
 
-/// Lines of a failed program that are told, and characters of each.
+/// Last lines of a failed program that are reported, and the most characters of each.
 const LAST: usize = 3;
 const WIDTH: usize = 90;
 
 /// A call of a program.
 pub struct Call<'a> {
-    /// Its name in messages.
+    /// Name of the program in messages.
     pub name: String,
-    /// Its path.
+    /// Path of the program.
     pub program: &'a Path,
-    /// Its arguments.
+    /// Arguments.
     pub arguments: Vec<OsString>,
-    /// The folder in which it runs.
+    /// Working directory.
     pub folder: &'a Path,
-    /// The file of its output.
+    /// Log file of the program's output.
     pub log: PathBuf,
 }
 
-/// What a program that ran to its end left.
+/// Result of a program that ran to its end.
 pub struct Ended {
-    /// Its last lines.
+    /// Last lines of its output.
     pub last: Vec<String>,
-    /// Its exit code; 128 + the signal where one ended it.
+    /// Exit code, or 128 + the signal that ended the program.
     code: i32,
 }
 
-/// Who takes the output of a program.
+/// Receives the output of a program.
 pub trait Output {
-    /// A line of standard error, or of standard output unless [`bytes`](Self::bytes) takes that. False keeps it out of the log.
+    /// Receives a line of standard error, or of standard output unless [`bytes`](Self::bytes) takes that. False keeps the line out of the
+    /// log.
     fn line(&mut self, line: &str) -> bool;
 
-    /// A part of standard output, if `takes_bytes`.
+    /// Receives a part of standard output, if `takes_bytes`.
     ///
     /// # Errors
-    /// To end the program.
+    /// An error ends the program.
     fn bytes(&mut self, _: &[u8]) -> Result<()> {
         Ok(())
     }
 
-    /// True if standard output is no text.
+    /// True if standard output is binary.
     fn takes_bytes(&self) -> bool {
         false
     }
@@ -83,37 +84,37 @@ impl<F: FnMut(&str) -> bool> Output for F {
     }
 }
 
-/// What a thread has read.
+/// A piece of output that a reader thread has read.
 enum Part {
     Line(String),
     Bytes(Vec<u8>),
 }
 
 impl Call<'_> {
-    /// A call with further arguments.
+    /// Adds arguments to the call.
     pub fn with<T: AsRef<OsStr>>(mut self, arguments: impl IntoIterator<Item = T>) -> Self {
         self.arguments.extend(arguments.into_iter().map(|argument| argument.as_ref().to_os_string()));
         self
     }
 
-    /// Runs the program to its end and expects success.
+    /// Runs the program to its end and requires exit code 0.
     ///
     /// # Errors
-    /// When it cannot be started or fails, with its last lines and the path of its log; of kind `Stopped` when `stop` was set.
+    /// When the program cannot be started or fails, with its last lines and the path of its log; of kind `Stopped` when `stop` was set.
     pub fn run(&self, stop: &AtomicBool, output: &mut dyn Output) -> Result<Ended> {
         let ended = self.run_to_end(stop, output)?;
         if ended.is_success() { Ok(ended) } else { Err(self.failed(&ended)) }
     }
 
-    /// As [`run`](Self::run) with any exit code.
+    /// Like [`run`](Self::run), but accepts any exit code.
     ///
     /// # Errors
-    /// When it cannot be started; of kind `Stopped` when `stop` was set.
+    /// When the program cannot be started; of kind `Stopped` when `stop` was set.
     pub fn run_to_end(&self, stop: &AtomicBool, output: &mut dyn Output) -> Result<Ended> {
         let mut log = self.open_log()?;
         let mut command = guard::command(self.program)?;
         command.args(&self.arguments).current_dir(self.folder).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // COLMAP asks Qt for a screen where it finds no GPU of its own.
+        // COLMAP asks Qt for a screen where it finds no GPU of its own. Without a display, Qt needs its offscreen platform.
         if std::env::var_os("DISPLAY").is_none() && std::env::var_os("WAYLAND_DISPLAY").is_none() {
             command.env("QT_QPA_PLATFORM", "offscreen");
         }
@@ -131,7 +132,7 @@ impl Call<'_> {
                 Ok(Part::Bytes(bytes)) => heeded = output.bytes(&bytes),
                 Ok(Part::Line(line)) => {
                     if output.line(&line) {
-                        // A log that cannot be written is no reason to stop.
+                        // A log that cannot be written does not stop the program.
                         let _ = writeln!(log, "{line}");
                         if !line.trim().is_empty() {
                             last.push_back(line);
@@ -148,7 +149,7 @@ impl Call<'_> {
             }
         }
         if heeded.is_err() {
-            // The end of the pipe ends the guard with all that it guards.
+            // Closing the pipe makes the guard end the program and all that it started.
             drop(child.stdin.take());
             drop(parts);
         }
@@ -162,7 +163,7 @@ impl Call<'_> {
         }
     }
 
-    /// The error of a program that ended with an exit code of failure.
+    /// The error for a program that ended with a non-zero exit code.
     pub fn failed(&self, ended: &Ended) -> Error {
         let how = match ended.code {
             137 => {
@@ -198,12 +199,12 @@ impl Call<'_> {
     }
 }
 
-/// The error of a capture that the user stopped.
+/// The error for a capture that the user stopped.
 pub fn stopped() -> Error {
     Error { kind: trimip::ErrorKind::Stopped, message: "stopped; the same command goes on from here".into() }
 }
 
-/// A word of a command as a shell reads it.
+/// Quotes a word of a command for a shell.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_alphanumeric() || "-_./:=,+%@".contains(c);
     match !word.is_empty() && word.chars().all(plain) {
@@ -213,7 +214,7 @@ pub fn quoted(word: &str) -> String {
     }
 }
 
-/// A path as a word of a command that is no option.
+/// Quotes a path for a shell, so that it cannot be read as an option.
 pub fn quoted_path(path: &Path) -> String {
     let plain = path.display().to_string();
     quoted(&if plain.starts_with('-') { format!("./{plain}") } else { plain })
@@ -230,7 +231,7 @@ fn code(status: ExitStatus) -> i32 {
     status.code().unwrap_or(255)
 }
 
-/// Threads that read both outputs of a program, and what they read.
+/// Starts the threads that read both outputs of a program; returns what they read.
 fn readers(child: &mut Child, as_bytes: bool) -> std::io::Result<Receiver<Part>> {
     let (sender, receiver) = sync_channel(WAITING);
     let named = |name: &str| thread::Builder::new().name(name.into());
@@ -254,7 +255,7 @@ fn read_bytes(mut pipe: impl Read, sender: &SyncSender<Part>) {
     }
 }
 
-/// Lines end with a line feed or, where a program writes its progress over itself, with a carriage return.
+/// Sends lines, which end with a line feed or, where a program overwrites its progress, with a carriage return.
 fn read_lines(mut pipe: impl Read, sender: &SyncSender<Part>) {
     let (mut buffer, mut line) = (vec![0; CHUNK], Vec::new());
     let send = |line: &mut Vec<u8>| {
@@ -276,8 +277,8 @@ fn read_lines(mut pipe: impl Read, sender: &SyncSender<Part>) {
     send(&mut line);
 }
 
-/// The output of a short call that asks a program about itself, standard output before standard error; `None` if it does not run
-/// or fails.
+/// The output of a short call that asks a program about itself, standard output before standard error; `None` if the program cannot be
+/// started or fails.
 pub fn ask(program: &Path, arguments: &[&str]) -> Option<String> {
     let mut command = std::process::Command::new(program);
     command.args(arguments).stdin(Stdio::null()).env("QT_QPA_PLATFORM", "offscreen");

@@ -1,4 +1,4 @@
-//! Programs of the system: where they are, and the line that installs those that are not.
+//! Programs of the system: their paths, and the command that installs a missing one.
 
 use std::{
     env,
@@ -6,10 +6,10 @@ use std::{
 };
 use trimip::{Error, Result};
 
-/// Endings of programs on Windows, in the order of its shell.
+/// File extensions of programs on Windows, in the order of its shell.
 const ENDINGS: [&str; 4] = ["exe", "com", "bat", "cmd"];
 
-/// Finds a program on the path.
+/// Finds a program on the `PATH`.
 pub fn find(name: &str) -> Option<PathBuf> {
     let path = env::var_os("PATH")?;
     let folders = env::split_paths(&path).filter(|folder| !folder.as_os_str().is_empty());
@@ -38,7 +38,7 @@ fn is_executable(path: &Path) -> bool {
     path.is_file()
 }
 
-/// What a capture needs of other programs.
+/// What a capture needs from other programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// ffmpeg and ffprobe.
@@ -56,7 +56,7 @@ pub enum Need {
 }
 
 impl Need {
-    /// The missing program in words.
+    /// Name of the missing program in messages.
     fn words(self) -> &'static str {
         match self {
             Self::Films => "no ffmpeg with ffprobe, which take frames out of films,",
@@ -68,14 +68,14 @@ impl Need {
         }
     }
 
-    /// The error that says how to install it. `place` is what needs it.
+    /// The error that says how to install the program. `place` is what needs it.
     pub fn missing(self, place: impl std::fmt::Display) -> Error {
         let line = install_line(self, env::consts::OS, &os_release());
         Error::input(place, format!("{} is on this machine", self.words()), format!("install it: {line}"))
     }
 }
 
-/// The program of this name, or the error of what it is needed for.
+/// Path of the program, or the error of `need`.
 ///
 /// # Errors
 /// When it is not on the path.
@@ -83,7 +83,7 @@ pub fn expect(name: &str, need: Need, place: impl std::fmt::Display) -> Result<P
     find(name).ok_or_else(|| need.missing(place))
 }
 
-/// What Linux says of itself.
+/// Content of Linux's `os-release` file.
 fn os_release() -> String {
     ["/etc/os-release", "/usr/lib/os-release"]
         .iter()
@@ -93,7 +93,7 @@ fn os_release() -> String {
 
 const PIP: &str = "pip install pycolmap";
 
-/// The line that installs what is needed on a system: the name of its kind as Rust has it, and its file `os-release`.
+/// The command that installs what is needed: by the operating system's name as Rust has it, and its file `os-release`.
 fn install_line(need: Need, os: &str, release: &str) -> String {
     let field = |key: &str| {
         let value = release.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('='));
@@ -101,7 +101,7 @@ fn install_line(need: Need, os: &str, release: &str) -> String {
     };
     let family = format!("{} {}", field("ID"), field("ID_LIKE"));
     let is = |names: &[&str]| family.split_whitespace().any(|word| names.contains(&word));
-    // Installer, then packages for films, HEIC and COLMAP; an empty one is not packaged.
+    // Install command, then packages for films, HEIC and COLMAP; empty means not packaged.
     let (install, films, heif, colmap) = match os {
         "macos" => ("brew install", "ffmpeg", "libheif", "colmap"),
         "windows" => ("winget install", "Gyan.FFmpeg", "ImageMagick.ImageMagick", ""),

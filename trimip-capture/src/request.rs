@@ -1,42 +1,42 @@
-//! What is captured, and how: everything that a user may decide.
+//! The input of a capture and all options of the user.
 
 use serde::Deserialize;
 use std::path::PathBuf;
 
-/// What finds the poses.
+/// The program that estimates the poses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum PosesProgram {
     /// The program colmap
     Colmap,
-    /// The Python package pycolmap, of any python3 that has it
+    /// The Python package pycolmap, in the first python3 that has it
     Pycolmap,
-    /// The program glomap, after features and matches by one of the others
+    /// The program glomap, after features and matches by colmap or pycolmap
     Glomap,
 }
 
-/// A camera model, by COLMAP's names.
+/// A camera model of COLMAP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Lens {
-    /// Two focal lengths and four terms of distortion: for many pictures
+    /// Two focal lengths and four distortion terms: for many pictures
     Opencv,
-    /// Lenses that see 120° and more
+    /// Fisheye lenses that see 120° and more
     OpencvFisheye,
-    /// Eight terms of distortion
+    /// Eight distortion terms
     FullOpencv,
-    /// One focal length and two terms: ordinary lenses
+    /// One focal length and two distortion terms: ordinary lenses
     Radial,
-    /// One focal length and one term
+    /// One focal length and one distortion term
     SimpleRadial,
     /// No distortion
     Pinhole,
 }
 
 impl Lens {
-    /// Its name in COLMAP.
+    /// COLMAP's name of the model.
     pub fn name(self) -> &'static str {
         match self {
             Self::Opencv => "OPENCV",
@@ -49,16 +49,16 @@ impl Lens {
     }
 }
 
-/// Which pictures are compared.
+/// Which pairs of pictures are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Matcher {
-    /// Each with each
+    /// Each picture with each other
     Exhaustive,
-    /// Each with those after it, and some with all others, which closes loops
+    /// Each picture with the next ones, and some with all others to close loops
     Sequential,
-    /// Each with those that look alike by a vocabulary tree (--vocab-tree)
+    /// Each picture with those that look alike by a vocabulary tree (--vocab-tree)
     Vocabulary,
 }
 
@@ -67,13 +67,13 @@ pub enum Matcher {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Mapper {
-    /// One after the other
+    /// One after the other (incremental mapper)
     Incremental,
-    /// All at once: COLMAP 4 or glomap
+    /// All at once (global mapper): COLMAP 4 or glomap
     Global,
 }
 
-/// A capture to make: its input and its options. The program chooses the value of an option that is `None`.
+/// A capture to make: its input and its options. The program chooses a value for each option that is `None`.
 #[derive(Clone, Debug, Default)]
 pub struct Request {
     /// A film, a folder of photographs, or a zip archive of either.
@@ -82,20 +82,20 @@ pub struct Request {
     pub out: Option<PathBuf>,
     /// Number of frames of a film.
     pub frames: Option<u32>,
-    /// What finds the poses.
+    /// The program that estimates the poses.
     pub poses: Option<PosesProgram>,
     /// Camera model.
     pub camera: Option<Lens>,
-    /// Which pictures are compared.
+    /// Which pairs of pictures are compared.
     pub matcher: Option<Matcher>,
-    /// A vocabulary tree for the version of COLMAP that is there.
+    /// A vocabulary tree in the format of the installed COLMAP.
     pub vocab_tree: Option<PathBuf>,
     /// How cameras are placed.
     pub mapper: Option<Mapper>,
     /// Longest side of the pictures in which features are looked for, pixels.
     pub size: Option<u32>,
-    /// Threads of the programs; 0 is all.
+    /// Threads of the programs; 0 = all.
     pub threads: u32,
-    /// Whether what an earlier call did is done again.
+    /// True if all stages are done again.
     pub fresh: bool,
 }

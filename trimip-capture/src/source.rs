@@ -1,42 +1,42 @@
-//! What is captured: a film, or photographs in a folder or in an archive.
+//! The input of a capture: a film, or photographs in a folder or in an archive.
 
 use std::path::{Path, PathBuf};
 use trimip::{Error, Result};
 use trimip_data::{Foreign, Material, foreign_format, has_cameras, is_archive, is_film, unpack_material};
 
-/// Fewest photographs of which cameras can be found.
+/// Fewest photographs from which cameras can be estimated.
 const FEWEST: usize = 3;
 
-/// What is captured.
+/// The input of a capture.
 pub enum Source {
     /// A film.
     Film(PathBuf),
-    /// Photographs, each with the format that has to be converted.
+    /// Photographs.
     Photographs(Vec<Photograph>),
 }
 
-/// A photograph as the user has it.
+/// A photograph of the user.
 pub struct Photograph {
     /// Its absolute path.
     pub path: PathBuf,
-    /// Its path below the folder of all photographs.
+    /// Path relative to the folder of all photographs.
     pub name: PathBuf,
     /// Its format, if it has to be converted.
     pub foreign: Option<&'static Foreign>,
 }
 
-/// A source, and what is to be told of it.
+/// A source, and remarks about it.
 pub struct Found {
-    /// What is captured.
+    /// The source.
     pub source: Source,
     /// Lines for the user.
     pub notes: Vec<String>,
 }
 
-/// Finds out what a path names.
+/// Determines what a path names.
 ///
 /// # Errors
-/// Of kind `Input`: nothing, a scene with cameras, too few photographs, several films.
+/// Of kind `Input`: the path does not exist or names something else, a scene that has cameras, too few photographs, several films.
 pub fn find(input: &Path) -> Result<Found> {
     let place = input.display();
     let absolute = std::path::absolute(input).unwrap_or_else(|_| input.into());
@@ -65,7 +65,7 @@ pub fn find(input: &Path) -> Result<Found> {
     ))
 }
 
-/// What is in a folder that the user calls by `named`.
+/// Determines what a folder holds. `named` is the path that the user typed.
 fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Found> {
     let place = named.display();
     let material = Material::of(folder);
@@ -84,7 +84,7 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
     let named_foreign = material.foreign.into_iter().map(|(path, _)| path);
     for path in material.pictures.into_iter().chain(named_foreign) {
         let name = path.strip_prefix(folder).unwrap_or(&path).to_path_buf();
-        // Phones send HEIC under the name of a JPEG.
+        // Phones may send HEIC under the file name of a JPEG.
         let foreign = foreign_format(&path);
         photographs.push(Photograph { path, name, foreign });
     }
@@ -132,7 +132,7 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
     Ok(Found { source: Source::Photographs(photographs), notes })
 }
 
-/// Leaves out photographs that have to be converted and lie beside the same in a format that is read.
+/// Leaves out photographs that need conversion if the folder has the same photograph in a format that can be read.
 fn without_copies(photographs: &mut Vec<Photograph>, notes: &mut Vec<String>) {
     let stem = |photograph: &Photograph| photograph.name.with_extension("");
     let read: std::collections::BTreeSet<PathBuf> =

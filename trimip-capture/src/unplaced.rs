@@ -1,4 +1,4 @@
-//! Pictures whose cameras were not placed, each with the reason that is most likely.
+//! Pictures whose cameras were not placed, each with its most likely reason.
 
 use super::{
     database::{self, Counts},
@@ -10,14 +10,14 @@ use std::{cell::OnceCell, path::Path};
 use trimip::formatting::count;
 use trimip_core::scene::strays::LOST;
 
-/// Share of the sharpness of its neighbours below which a picture is blurred.
+/// A picture counts as blurred below this share of the sharpness of its neighbours.
 const BLURRED: f64 = 0.4;
 
-/// Neighbours on each side, and pictures of a folder that a photograph is compared with.
+/// Neighbours on each side of a frame, and placed photographs that a photograph is compared with.
 const NEIGHBOURS: usize = 4;
 const COMPARED: usize = 16;
 
-/// Features and matches below which a camera is hardly placed. The mapper of COLMAP wants 30 points that are known already.
+/// Features, and matches with one picture, below which a camera can hardly be placed. COLMAP's mapper needs 30 matches with known points.
 const FEW_FEATURES: u64 = 300;
 const FEW_MATCHES: u64 = 60;
 
@@ -27,15 +27,15 @@ const MEASURED: u32 = 960;
 /// A picture that was not placed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Unplaced {
-    /// Its path in `images/`.
+    /// Path in `images/`.
     pub name: String,
-    /// What the user calls it.
+    /// The user's name of the picture.
     pub source: String,
-    /// Why.
+    /// Most likely reason.
     pub reason: String,
 }
 
-/// The pictures whose cameras the first of the models does not have, or has lost, with reasons.
+/// The pictures whose cameras are missing in the first model or lost, with reasons.
 pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path) -> Vec<Unplaced> {
     let all = &pictures.pictures;
     let Some((best, others)) = models.models.split_first() else { return Vec::new() };
@@ -66,7 +66,7 @@ pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path
     left.into_iter().map(unplaced).collect()
 }
 
-/// The most likely reason, by the sharpness as a share of that of its neighbours and by what the database counts.
+/// The most likely reason. `sharpness` is relative to that of the neighbours; `counts` come from the database.
 fn reason(sharpness: Option<f64>, counts: Option<Counts>) -> String {
     let blurred = sharpness.filter(|share| *share < BLURRED);
     let matched = |Counts { features, pairs, most }: Counts| {
@@ -89,18 +89,18 @@ fn reason(sharpness: Option<f64>, counts: Option<Counts>) -> String {
     }
 }
 
-/// Sharpness of pictures beside that of others.
+/// Sharpness of pictures relative to others.
 struct Sharpness<'a> {
     all: &'a [Picture],
     images: &'a Path,
     placed: &'a dyn Fn(&Picture) -> bool,
-    /// The median of some photographs that were placed.
+    /// Median sharpness of some placed photographs.
     of_placed: OnceCell<Option<f64>>,
 }
 
 impl Sharpness<'_> {
-    /// Sharpness of a picture as a share of the median of its neighbours, or for photographs of some others; `None` if one cannot be
-    /// read.
+    /// Sharpness of a picture divided by the median of its neighbours, or for photographs by that of some placed ones; `None` if one cannot
+    /// be read.
     fn of_neighbours(&self, index: usize) -> Option<f64> {
         let own = self.of(&self.all[index])?;
         let median = match self.all[index].sharpness {
@@ -109,7 +109,7 @@ impl Sharpness<'_> {
                 let near = self.all.iter().enumerate().skip(from).take(2 * NEIGHBOURS + 1);
                 self.median(near.filter(|(other, _)| *other != index).map(|(_, picture)| picture))
             }
-            // Photographs have to be decoded for it.
+            // Photographs have to be decoded first, so only some are measured, once.
             None => *self.of_placed.get_or_init(|| {
                 let placed: Vec<&Picture> =
                     self.all.iter().filter(|picture| (self.placed)(picture)).collect();
@@ -131,7 +131,7 @@ impl Sharpness<'_> {
     }
 }
 
-/// Sharpness of a photograph at a small size: the size of its details on the sensor says little.
+/// Sharpness of a photograph at a reduced size, because its pixel-level detail says little.
 fn sharpness(path: &Path) -> Option<f64> {
     let reader = image::ImageReader::open(path).ok()?.with_guessed_format().ok()?;
     let grey = reader.decode().ok()?.into_luma8();

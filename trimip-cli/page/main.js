@@ -1,4 +1,4 @@
-// A model in a page: loads it, renders coarse pictures while the camera moves and fine ones when it stands.
+// The page of `export web`: loads the model and renders it, coarsely while the camera moves and at full resolution when it stands still.
 
 import { Orbit } from "./orbit.js";
 import { gestures } from "./gestures.js";
@@ -7,13 +7,13 @@ import start, { Viewer } from "./trimip_web.js";
 const find = (id) => document.getElementById(id);
 const view = find("view");
 
-/** Milliseconds of a picture while the camera moves. */
+/** Time of a picture while the camera moves, milliseconds. */
 const COARSE = 60;
 
-/** Milliseconds without a change after which the view stands still. */
+/** Milliseconds without a change after which the camera counts as still. */
 const STILL = 160;
 
-/** Largest side of a picture, pixels. */
+/** Longest side of a picture, pixels. */
 const MOST = 2048;
 
 /** Fewest pixels along the longer side of a picture. */
@@ -54,11 +54,11 @@ async function open() {
 }
 
 let viewer, orbit;
-/** Pixels per millisecond, measured. */
+/** Measured rendering speed, pixels per millisecond. */
 let speed = 20;
 let [running, wanted] = [null, null];
 
-/** Draws; the promise is kept once nothing is left to draw. */
+/** Requests a picture; the promise is fulfilled once all requested pictures are drawn. */
 function draw(moving) {
   wanted = { moving };
   running ??= drawAll().finally(() => (running = null));
@@ -133,7 +133,7 @@ try {
   new ResizeObserver(changed).observe(view);
   say("");
   view.focus({ preventScroll: true });
-  // For scripts: RGBA of a view, of the whole place or of its crop alone.
+  // For scripts: the RGBA pixels of a view, of everything or only of the crop.
   window.trimip = { render: (pose, fov, width, height, cropped = false) => viewer.render(Float64Array.from(pose), fov, width, height, cropped) };
 } catch (error) {
   say(error.message ?? String(error));

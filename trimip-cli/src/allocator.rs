@@ -1,5 +1,5 @@
-//! The allocator of the program: the system's, but where memory runs out the program ends with one line and the exit code of
-//! a device that is too small. By itself, Rust aborts.
+//! The allocator of the program: the system's, except that the program ends with one line and exit code 3 (the device is too small) when
+//! memory runs out. Rust's default is to abort.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;
@@ -7,10 +7,10 @@ use std::io::Write;
 #[global_allocator]
 static ALLOCATOR: Ending = Ending;
 
-/// The system's allocator, which ends the program where it has nothing to give.
+/// The system's allocator; ends the program when no memory is left.
 struct Ending;
 
-/// Ends the program if `memory` is null. Nothing is allocated for the message.
+/// Ends the program if `memory` is null. The message needs no allocation.
 fn given(memory: *mut u8, layout: Layout) -> *mut u8 {
     if memory.is_null() {
         let _ = writeln!(
@@ -24,10 +24,10 @@ fn given(memory: *mut u8, layout: Layout) -> *mut u8 {
     memory
 }
 
-// SAFETY: every call is passed on to the system's allocator as it came, and its answer is returned unless it is null.
+// SAFETY: every call is forwarded unchanged to the system's allocator, and its result is returned unless it is null.
 unsafe impl GlobalAlloc for Ending {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        // SAFETY: the caller upholds the contract of `GlobalAlloc`, which is also that of the system's allocator.
         given(unsafe { System.alloc(layout) }, layout)
     }
 

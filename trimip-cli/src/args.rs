@@ -31,7 +31,7 @@ use std::path::PathBuf;
                   2 wrong input, 3 the device or the system failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
 )]
 pub struct Arguments {
-    /// What to do; trains without one.
+    /// What to do; without a verb, the program trains.
     #[command(subcommand)]
     pub verb: Option<Verb>,
     /// Options of training.
@@ -44,13 +44,13 @@ pub struct Arguments {
 pub enum Verb {
     /// Plan, train, evaluate and report; resumes the run in the run folder
     Train(TrainArguments),
-    /// Make a scene of a film or of photographs without cameras: frames, poses by COLMAP, what was not placed; then trains
+    /// Make a scene from a film or from photographs without cameras: frames, poses by COLMAP, pictures without a pose; then train
     #[command(
         after_help = "Programs that are not part of this one do the work: ffmpeg takes frames out of films, COLMAP (the program, the \
                             Python package pycolmap, or glomap) finds the cameras. The same command goes on where it was interrupted."
     )]
     Capture(Box<CaptureArguments>),
-    /// Show what the scene does not need, and measure the cost and savings of leaving it out
+    /// Show which parts of the training the scene does not need, and measure what leaving them out costs and saves
     Plan(PlanArguments),
     /// Measure a model on its test set: PSNR, SSIM, MS-SSIM, FLIP and LPIPS per scale
     #[command(
@@ -62,22 +62,22 @@ pub enum Verb {
     Render(Box<RenderArguments>),
     /// Show a model in a browser: turn, zoom, compare with the photographs
     View(ViewArguments),
-    /// Compute the proxy of a model, by which pictures need few samples, and keep it in the model file
+    /// Compute the proxy of a model, with which hybrid rendering needs few samples, and store it in the model file
     Bake(BakeArguments),
-    /// Write a model for other programs: a triangle mesh, or a page for any web server
+    /// Export a model for other programs: a triangle mesh, or a page for any web server
     Export(ExportArguments),
     /// Inspect a data set or write one
     Data(DataArguments),
     /// Show the effective settings and their origins
     Config(ConfigArguments),
-    /// Compare curves of error against time: runs, or CSV files of other programs
+    /// Compare curves of error against time, from runs or from CSV files of other programs
     Compare(CompareArguments),
-    /// Error against time: training over a set of configurations and seeds, or rendering a model in many ways
+    /// Measure error against time: of training over configurations and seeds, or of rendering a model in many ways
     Bench(BenchArguments),
-    /// Train the systems of the paper's tables on the same scenes, splits and seeds, at equal time, and lay them beside
-    /// each other and the published figures: tables, curves and crops on one page
+    /// Train the systems of the paper's tables on the same scenes, splits and seeds, for equal time, and compare them with each other and
+    /// with the published figures: tables, curves and crops on one page
     Paper(PaperArguments),
-    /// Run the catalogue of stiff and extreme cases; exit code 1 if a law is violated
+    /// Run the catalogue of stiff and extreme cases; exit code 1 if a case violates its law
     Check(CheckArguments),
     /// Show what this machine and this build support
     Doctor,
@@ -104,25 +104,25 @@ pub struct TrainArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Run folder [default: runs/ and the name of the configuration file, or of FOLDER, and of the system]
+    /// Run folder [default: runs/NAME, where NAME is that of the configuration file or of FOLDER, then of the system]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Start over: replaces the run in the folder
     #[arg(long)]
     pub fresh: bool,
-    /// Continue a finished run for this time, e.g. 90s, 5m, 1h: its schedule stretches to the new length
+    /// Continue a finished run for this time, e.g. 90s, 5m, 1h; the schedule is stretched to the new length
     #[arg(long, value_name = "TIME", conflicts_with_all = ["fresh", "minutes", "config", "system"])]
     pub continue_for: Option<String>,
-    /// Stop and save after this many steps, as if interrupted; the same command resumes from there
+    /// Stop and save after this many steps, as if interrupted; the same command resumes the run
     #[arg(long, value_name = "STEPS")]
     pub stop_after: Option<u64>,
     /// How progress is shown
     #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
     pub progress: ProgressStyle,
-    /// Tell every decision of the plan with its reason, and what takes the memory
+    /// Show every decision of the plan with its reason, and what the memory is used for
     #[arg(short, long)]
     pub verbose: bool,
-    /// Show the model in a browser as it is learned, with the curve of its error; prints the address
+    /// Show the model in a browser during training, with the curve of its error; prints the address
     #[arg(long)]
     pub view: bool,
     /// Port of --view on this machine; 0 takes a free one
@@ -148,17 +148,17 @@ pub struct PlanArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Train with and without each part that the plan leaves out, briefly and at equal samples, measured on held-out
-    /// training views: dB, seconds and bytes
+    /// Train briefly with and without each part that the plan leaves out, with equally many samples; compare dB on held-out training views,
+    /// seconds and bytes
     #[arg(long)]
     pub measure: bool,
-    /// Million samples of each of these runs
+    /// Millions of samples per run of --measure
     #[arg(long, default_value_t = 16.0, value_name = "MILLION")]
     pub samples: f64,
-    /// Seeds of each run
+    /// Seeds per run of --measure
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
     pub seeds: u32,
-    /// Folder of these runs
+    /// Folder of the runs of --measure
     #[arg(long, default_value = "runs/plan", value_name = "DIR")]
     pub out: PathBuf,
     /// Also write the decisions as JSON
@@ -187,15 +187,15 @@ pub struct EvalArguments {
 pub struct ViewArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// Address to listen at; others than loopback let everybody in who knows the token
+    /// Address to listen on; beyond loopback, everybody who knows the token has access
     #[arg(long, default_value = "127.0.0.1", value_name = "ADDRESS")]
     pub bind: IpAddr,
     /// Port; 0 takes a free one
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub port: u16,
-    /// What the page shows when it opens, in world units: none (the whole place), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner) or "ball X,Y,Z,RADIUS"; by cells of the occupancy grid. A switch of the page shows the crop
-    /// alone or everything
+    /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
+    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page shows the crop
+    /// or everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
     /// Override a setting of data, renderer, hybrid, backend, threads or wgpu (data.root=.. for a moved data set)
@@ -219,13 +219,13 @@ pub struct BakeArguments {
 /// Options of `check`.
 #[derive(Args, Debug)]
 pub struct CheckArguments {
-    /// Backends to test [default: all that this machine has]
+    /// Backends to test [default: all that this machine supports]
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     pub backend: Vec<String>,
-    /// Part of the adapter's name for the wgpu backend
+    /// Part of the name of the wgpu backend's adapter
     #[arg(long, default_value = "", hide_default_value = true)]
     pub adapter: String,
-    /// Include the cases that take minutes: 100,000 steps of training
+    /// Include the cases that take minutes: 100,000 training steps
     #[arg(long)]
     pub long: bool,
     /// Threads of the CPU backend; 0 = all
@@ -242,13 +242,13 @@ pub struct CompareArguments {
     /// Run folders or CSV files with the columns `seconds` and `psnr_mean`, each with an optional name
     #[arg(required = true, value_name = "[NAME=]RUN|FILE")]
     pub curves: Vec<String>,
-    /// PSNR levels in dB whose times are reported
+    /// PSNR levels in dB; the time at which each curve reaches them is reported
     #[arg(long, value_name = "DB,..", value_delimiter = ',', default_value = "25,28,30,32,33,34,35,36")]
     pub reach: Vec<f64>,
     /// Write the plot as SVG
     #[arg(long, value_name = "FILE", value_parser = ending("svg"))]
     pub svg: Option<PathBuf>,
-    /// Write a page with the table, the plot and the runs' pictures
+    /// Write a page with the table, the plot and the pictures of the runs
     #[arg(long, value_name = "FILE", value_parser = ending("html"))]
     pub html: Option<PathBuf>,
     /// Write the table as JSON

@@ -8,16 +8,16 @@ use std::{
 };
 use trimip_capture::Event;
 
-/// Template of the bar, in thousandths.
+/// Template of the bar, which counts thousandths.
 const BAR: &str = "{bar:12} {percent:>3} %  {wide_msg}";
 const STEPS: u64 = 1000;
 
 /// Shortest time between two events of progress.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// Shows a capture.
+/// Shows the progress of a capture.
 pub struct Display {
-    /// `None` shows JSON.
+    /// `None` prints JSON.
     bar: Option<ProgressBar>,
     told: Cell<Option<Instant>>,
 }
@@ -41,14 +41,14 @@ impl Display {
         }
     }
 
-    /// Nothing more comes.
+    /// Removes the bar at the end of the capture.
     pub fn finish(&self) {
         if let Some(bar) = &self.bar {
             bar.finish_and_clear();
         }
     }
 
-    /// Prints a line of JSON; progress not too often.
+    /// Prints an event as a line of JSON; events of progress that follow too quickly are dropped.
     fn print(&self, event: &Event<'_>) {
         match event {
             Event::Begun { .. } => self.told.set(None),

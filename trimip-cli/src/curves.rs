@@ -15,9 +15,9 @@ pub use trimip::run::curve::Measure;
 pub struct Curve {
     /// Display name.
     pub name: String,
-    /// Measurements on the way, by time.
+    /// Measurements during training, by time.
     pub points: Vec<Measure>,
-    /// The final measurement, if it uses other views than the curve.
+    /// The final measurement, if it uses other test views than the curve.
     pub last: Option<Measure>,
     /// The run folder, if the curve is a run's.
     pub folder: Option<PathBuf>,
@@ -28,7 +28,7 @@ pub struct Curve {
 pub struct Reach {
     /// Seconds of training.
     pub seconds: f64,
-    /// The first measurement is already above: the PSNR was reached at this time or earlier.
+    /// True if the first measurement is already above the PSNR, which was then reached at this time or earlier.
     pub at_most: bool,
 }
 
@@ -101,12 +101,12 @@ impl Curve {
             color: color.into(),
             class: "mean",
             points: self.points.iter().map(point).collect(),
-            // If it is the end of the curve, it is already drawn.
+            // If it is the end of the curve, it is drawn already.
             ring: self.last.as_ref().filter(|last| self.points.last() != Some(last)).map(point),
         }
     }
 
-    /// The `report.json` of its run; null if there is none.
+    /// The `report.json` of the curve's run; null if there is none.
     pub fn report(&self) -> serde_json::Value {
         let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
         text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()

@@ -1,4 +1,4 @@
-//! Ctrl-C: the first asks the run to stop and save, a second ends the program immediately.
+//! Ctrl-C: the first one asks the run to stop and save, a second one ends the program immediately.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
@@ -6,10 +6,10 @@ use trimip_core::{Error, Result};
 
 pub use trimip_core::STOPPED as EXIT_CODE;
 
-/// Whether the program is asked to stop.
+/// True once the program is asked to stop.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
-/// Set once the single signal handler is there.
+/// True once the signal handler is installed.
 static WATCHED: Mutex<bool> = Mutex::new(false);
 
 /// Installs the handler once. The first signal (interrupt, terminate or hang-up) sets the returned flag.
@@ -17,7 +17,7 @@ pub fn install() -> Result<Arc<AtomicBool>> {
     install_for("stopping after this step and saving; press Ctrl-C again to end at once")
 }
 
-/// The same; `answer` is what a signal prints.
+/// Like [`install`]; the first signal prints `answer`.
 pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
     catch(move |again| {
         if again {
@@ -27,19 +27,19 @@ pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
     })
 }
 
-/// Asks the program to stop, as a signal does; however often, it never ends the program at once.
+/// Sets the stop flag, as a first signal does. Repeated calls never end the program.
 #[cfg(feature = "mpi")]
 pub fn ask() {
     STOP.store(true, Ordering::SeqCst);
 }
 
-/// Signals set the returned flag and call `act`, and do nothing else.
+/// Installs a handler that never ends the program: every signal sets the returned flag and calls `act`.
 #[cfg(feature = "mpi")]
 pub fn outlive(act: impl Fn() + Send + 'static) -> Result<Arc<AtomicBool>> {
     catch(move |_| act())
 }
 
-/// Calls `act` at every signal, with false at the first.
+/// Installs the handler. Every signal sets the stop flag and calls `act`: with false the first time, then with true.
 fn catch(act: impl Fn(bool) + Send + 'static) -> Result<Arc<AtomicBool>> {
     let mut watched = WATCHED.lock().unwrap_or_else(PoisonError::into_inner);
     if *watched {
@@ -61,9 +61,9 @@ fn catch(act: impl Fn(bool) + Send + 'static) -> Result<Arc<AtomicBool>> {
     Ok(Arc::clone(&STOP))
 }
 
-/// The signal of a terminal that closes. `nohup` starts a program with it ignored, and it has to stay so.
+/// The hang-up signal, which a closing terminal sends. `nohup` starts a program with this signal ignored, and it must stay ignored.
 #[cfg(unix)]
-#[allow(unsafe_code)] // a signal has no safe door
+#[allow(unsafe_code)] // signal handlers have no safe interface
 mod hang_up {
     use nix::sys::signal::{SigHandler, Signal, signal};
 
@@ -75,7 +75,7 @@ mod hang_up {
     }
 }
 
-/// This system has no such signal.
+/// This system has no hang-up signal.
 #[cfg(not(unix))]
 mod hang_up {
     /// Does nothing.

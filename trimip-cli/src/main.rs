@@ -4,7 +4,7 @@
 
 #![deny(unsafe_code)]
 
-#[allow(unsafe_code)] // an allocator is unsafe to write
+#[allow(unsafe_code)] // implementing an allocator is unsafe
 mod allocator;
 mod args;
 mod cameras;
@@ -45,7 +45,7 @@ fn main() -> ExitCode {
     ended(ranks::among(|| verbs::run(&arguments), |ranks| verbs::work(&arguments, ranks)))
 }
 
-/// The exit code of a program with this outcome. What could not be printed is an error of a program without another.
+/// The exit code for an outcome. A failed write to standard output is the error if there is no other.
 fn ended(outcome: Result<u8>) -> ExitCode {
     ExitCode::from(match outcome.and_then(|code| terminal::printed().map(|()| code)) {
         Ok(code) => code,

@@ -2,11 +2,11 @@
 
 use trimip_core::measures::quality::{Measures, ScaleQuality, mean_quality};
 
-/// Smallest difference between two kinds of PSNR that both are shown for, dB.
+/// Smallest difference at which a second kind of PSNR is shown, dB.
 const TELLING: f64 = 0.005;
 
-/// PSNR, SSIM and what was measured of perception per scale and their mean as aligned lines of at most 80 columns. Beside the PSNR stands
-/// the one at the exposure of each photograph, or else the one without the edge exponents of the set, where it is another. The report has
+/// PSNR, SSIM and the measured perceptual metrics, per scale and as their mean, in aligned lines of at most 80 columns. If it differs from
+/// the PSNR, a second one is shown: that at the exposure of each photograph, or else that without the set's edge exponents. The report has
 /// all kinds.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     let mean = mean_quality(scales);

@@ -1,4 +1,4 @@
-//! Mistakes on the command line as errors of one line.
+//! Reports mistakes on the command line as errors of one line.
 
 use crate::args::Arguments;
 use clap::{
@@ -8,12 +8,12 @@ use clap::{
 use std::{ffi::OsStr, path::Path};
 use trimip_core::Error;
 
-/// The error of arguments that were not understood. `first` is the first of them.
+/// The error for arguments that clap rejected. `first` is the first argument.
 pub fn error(mistake: &clap::Error, first: Option<&OsStr>) -> Error {
     if let Some(word) = first.and_then(OsStr::to_str).filter(|word| !is_verb(word) && is_missing(word)) {
         return no_verb(word);
     }
-    // A line that says what is wrong, and paragraphs with tips and with what to do.
+    // clap's text: a line that says what is wrong, then paragraphs with tips and usage.
     let text = mistake.render().to_string();
     let text = text.split("\nUsage:").next().unwrap_or_default();
     let text = text.split("\nFor more").next().unwrap_or_default();
@@ -23,13 +23,13 @@ pub fn error(mistake: &clap::Error, first: Option<&OsStr>) -> Error {
         .filter(|line| !line.is_empty())
         .partition(|line| line.starts_with("tip: "));
     let what = what.join(" ");
-    // An option that nobody knows is seldom meant as a value.
+    // clap suggests passing an unknown option as a value, which is seldom meant.
     let tips = tips.into_iter().map(|tip| &tip["tip: ".len()..]).filter(|tip| !tip.starts_with("to pass "));
     let advice: Vec<&str> = tips.chain(["see trimip-cli --help"]).collect();
     Error::input("command line", what.trim_start_matches("error: "), advice.join("; "))
 }
 
-/// The error of a word in the place of a verb, or of a folder, that is neither.
+/// The error for a word in the place of a verb or a folder that is neither.
 pub fn no_verb(word: &str) -> Error {
     let advice = match similar_verb(word) {
         Some(verb) => format!("did you mean `trimip-cli {verb}`? `trimip-cli --help` shows all verbs"),

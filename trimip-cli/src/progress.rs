@@ -11,7 +11,7 @@ use trimip_core::{
 use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, Watch};
 
-/// Template of the training bar, in thousandths; the message takes the rest of the terminal's width.
+/// Template of the training bar, which counts thousandths; the message takes the rest of the terminal's width.
 const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
 
 /// Message while a scene is opened.
@@ -21,14 +21,14 @@ const READING: &str = "reading photographs";
 pub enum Display {
     /// One JSON object per line.
     Json,
-    /// A bar with lines above it.
+    /// A bar, with lines printed above it.
     Bar(Training),
 }
 
-/// The bar of a training.
+/// The bar of a training run.
 pub struct Training {
     bar: ProgressBar,
-    /// Whether every line of the plan is shown, or its summary.
+    /// True if all lines of the plan are shown, otherwise its summary.
     verbose: bool,
     started: Instant,
 }
@@ -144,7 +144,7 @@ impl Training {
                 ));
             }),
             Event::Step { totals, batch_psnr, samples_per_second, seconds_left, .. } => {
-                // Of the time until the program ends, as the time that is left. An estimate that grows moves no bar back.
+                // The bar shows the share of the expected total time that has passed. It never moves back when the estimate grows.
                 let passed = self.started.elapsed().as_secs_f64();
                 let left = if seconds_left.is_finite() { seconds_left.max(0.0) } else { f64::INFINITY };
                 let part = passed / (passed + left);
@@ -184,7 +184,7 @@ impl Training {
                 bar.suspend(|| terminal::prose(trained(totals)));
             }
             Event::SessionEnded { .. } => bar.finish_and_clear(),
-            // Checkpoints, and events that a later version of the library may have.
+            // Checkpoints, and events of later library versions.
             _ => {}
         }
     }
@@ -208,7 +208,7 @@ pub fn trained(totals: &Totals) -> String {
     )
 }
 
-/// Message beside the training bar: step, PSNR of the step's own pixels in dB, kept samples per second, seconds left.
+/// Message next to the training bar: step, PSNR of the step's own pixels in dB, kept samples per second, seconds left.
 fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> String {
     let speed = terminal::number(samples_per_second, "samples/s");
     format!("step {step}  {psnr:.2} dB  {speed}  {} left", terminal::duration(seconds_left))

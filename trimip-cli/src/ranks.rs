@@ -1,4 +1,4 @@
-//! The processes that `mpirun` or `srun` launched together. Rank 0 is the program; the others do what it orders.
+//! The processes that `mpirun` or `srun` launched together. Rank 0 runs the program; the others follow its orders.
 
 #[cfg(feature = "mpi")]
 mod supervisor;
@@ -6,7 +6,7 @@ mod supervisor;
 use std::sync::Arc;
 use trimip_core::{Result, engine::exchange::Ranks};
 
-/// True for the process that says what all would say: that of rank 0, or the only one.
+/// True on rank 0, or without MPI: the only process that prints.
 pub fn speaks() -> bool {
     trimip_mpi::launched().id == 0
 }
@@ -16,10 +16,10 @@ pub fn all() -> Option<Arc<dyn Ranks>> {
     launched::all()
 }
 
-/// Runs `program` on rank 0, and lets the others follow it and `work` on its jobs; without a launcher just runs it.
+/// Runs `program` on rank 0 while the other ranks follow it and do `work` on its jobs; without a launcher, only runs it.
 ///
 /// # Errors
-/// Those of the program, and when the ranks cannot work together.
+/// Errors of the program, and when the ranks cannot work together.
 pub fn among(program: impl FnOnce() -> Result<u8>, work: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
     if trimip_mpi::launched().size == 1 { program() } else { launched::among(program, work) }
 }
@@ -55,7 +55,7 @@ mod launched {
         }
         let rank = world.rank().id;
         let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, work) };
-        // A rank that panics would leave the others waiting for it.
+        // The other ranks would wait for a rank that panicked.
         let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
             terminal::aside(format!("error: rank {rank} panicked"));
             world.abort(3)
@@ -64,7 +64,7 @@ mod launched {
         outcome
     }
 
-    /// The error with its rank, if it does not name one.
+    /// Adds the rank to an error that does not name one.
     fn of_rank(rank: usize, error: &Error) -> Error {
         let message = match error.message.starts_with("rank ") {
             true => error.message.clone(),
@@ -76,7 +76,7 @@ mod launched {
     fn lead(world: &World, program: impl FnOnce() -> Result<u8>) -> Result<u8> {
         let outcome = program();
         match &outcome {
-            // The others may be in the middle of a step and wait for this rank.
+            // The other ranks may be in the middle of a step and wait for this rank.
             Err(error) if error.exit_code() == 3 => {
                 terminal::error(&of_rank(0, error));
                 world.abort(3)
@@ -90,7 +90,7 @@ mod launched {
     fn follow(world: &Arc<World>, rank: usize, mut work: impl FnMut(&dyn Ranks) -> Result<()>) -> Result<u8> {
         let ranks: Arc<dyn Ranks> = Arc::clone(world) as Arc<dyn Ranks>;
         let mut tell = |text| terminal::aside(format!("warning: rank {rank} {text}"));
-        // Rank 0 gets the same signal, and tells the others when to end.
+        // Rank 0 receives the same signal and orders the others to end.
         let outcome = interrupt::install().and_then(|_| ranks::follow(&ranks, &mut work, &mut tell));
         outcome.map(|()| 0).inspect_err(|error| {
             terminal::error(&of_rank(rank, error));
@@ -98,7 +98,7 @@ mod launched {
         })
     }
 
-    /// Tells what the ranks sent each other in a training.
+    /// Prints how much data the ranks exchanged during training.
     fn summary(world: &World) {
         let traffic = world.traffic();
         if traffic.steps == 0 {

@@ -10,7 +10,7 @@ use trimip_capture::quoted_path;
 use trimip_core::text;
 use trimip_data::{is_archive, is_film};
 
-/// Settings of a system, a configuration file and the command line. Checks every range.
+/// Merges the settings of a system, a configuration file and the command line, and checks every range.
 pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut settings = trimip::settings::defaults();
     if let Some(name) = &arguments.system {
@@ -27,7 +27,7 @@ pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     Ok((settings, config))
 }
 
-/// Like [`load`], with the folder and the minutes of the command line. These override the file; `--set` overrides them.
+/// Like [`load`], with the folder and the minutes of the command line. They override the file, and `--set` overrides them.
 pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut set = Vec::new();
     if let Some(folder) = &scene.folder {
@@ -43,7 +43,7 @@ pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Resu
     load(&SettingsArguments { set, ..arguments.clone() })
 }
 
-/// The folder of a scene, or its archive, as `data.root`. An invalid one gives an error that suggests what to type.
+/// The folder or archive of a scene, as `data.root`. The error for anything else suggests what to type.
 pub fn scene_root(folder: &Path) -> Result<String> {
     let (place, name) = (folder.display(), folder.file_name().unwrap_or_default().to_string_lossy());
     let text = |path: &Path| {
@@ -99,8 +99,7 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
         .ok_or_else(|| Error::input(place, format!("`{text}` is no duration"), "write 90s, 5m or 1h"))
 }
 
-/// Default name of the run folder: `runs/` and the stem of the configuration file, of the scene's archive, or the scene's
-/// folder, and the system.
+/// Default run folder: `runs/` and the name of the configuration file, or else of the scene's archive or folder, followed by the system.
 pub fn default_folder(
     config: Option<&Path>,
     scene: Option<&Path>,

@@ -1,5 +1,5 @@
-//! Output to the user: wrapped to a terminal's width, unwrapped otherwise. A failed write to standard output ends no run;
-//! the program's end tells of it, unless its reader had enough (`| head`).
+//! Output to the user, wrapped to a terminal's width and otherwise unwrapped. A failed write to standard output does not end a run. It is
+//! reported when the program ends, unless the reader closed the pipe (`| head`).
 
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::OnceLock;
@@ -18,15 +18,15 @@ const INDENT: usize = 4;
 /// The first failed write to standard output.
 static UNPRINTED: OnceLock<std::io::Error> = OnceLock::new();
 
-/// One line on standard output.
+/// Prints one line on standard output.
 pub fn line(text: impl std::fmt::Display) {
     note_failure(writeln!(std::io::stdout().lock(), "{text}"));
 }
 
-/// Whether all lines on standard output were written.
+/// Succeeds if all lines on standard output were written.
 ///
 /// # Errors
-/// When one was not, for another reason than a closed pipe.
+/// When a line was not written, for another reason than a closed pipe.
 pub fn printed() -> Result<()> {
     note_failure(std::io::stdout().flush());
     match UNPRINTED.get() {
@@ -54,7 +54,7 @@ pub fn prose(text: impl std::fmt::Display) {
     }
 }
 
-/// Prints prose on standard error if a person watches; silent otherwise.
+/// Prints prose on standard error if a person watches, otherwise nothing.
 pub fn note(text: impl std::fmt::Display) {
     if watched() {
         let width = width(&console::Term::stderr()).unwrap_or(USUAL_WIDTH);
@@ -67,12 +67,12 @@ pub fn aside(text: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
-/// Prints the one line that states why the program failed.
+/// Prints the one line that says why the program failed.
 pub fn error(error: &Error) {
     let _ = writeln!(std::io::stderr().lock(), "error: {error}");
 }
 
-/// True if both streams are terminals. The program then shows a bar and tables, otherwise one JSON object per line.
+/// True if standard output and standard error are terminals. The program then shows a bar and tables, otherwise one JSON object per line.
 pub fn watched() -> bool {
     std::io::stdout().is_terminal() && std::io::stderr().is_terminal()
 }

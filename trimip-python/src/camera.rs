@@ -16,12 +16,12 @@ pub type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 /// Three numbers.
 type Three<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
 
-/// A camera: a pose in the world, the size of its picture, and its projection.
+/// A camera: a pose in the world, a picture size, and a projection.
 #[pyclass(frozen, from_py_object, module = "trimip")]
 #[derive(Clone)]
 pub struct Camera(pub trimip::Camera);
 
-/// How a camera projects, as Python gives it.
+/// The projection of a camera, as given in Python.
 struct Projection<'a, 'py> {
     width: u32,
     height: u32,
@@ -65,8 +65,8 @@ impl Projection<'_, '_> {
 
 #[pymethods]
 impl Camera {
-    /// A camera from a camera-to-world matrix [R|t], 3×4 or 4×4, OpenGL axes (x right, y up, the camera looks along −z).
-    /// Either `fov` (horizontal, degrees) or `fx` (pixels); `lens` has the keys of transforms.json (k1, k2, p1, p2, …).
+    /// Creates a camera from a camera-to-world matrix [R|t], 3×4 or 4×4, with OpenGL axes (x right, y up, the camera looks along −z). Give
+    /// either `fov` (horizontal, degrees) or `fx` (pixels); `lens` has the keys of transforms.json (k1, k2, p1, p2, …).
     #[new]
     #[pyo3(signature = (pose, width, height, *, fov=None, fx=None, fy=None, cx=None, cy=None, lens=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -86,7 +86,7 @@ impl Camera {
         Ok(Self(posed("pose", &numbers, k).map_err(raised)?))
     }
 
-    /// A camera at `eye` that looks at `target`.
+    /// Creates a camera at `eye` that looks at `target`; `up` is z by default.
     #[staticmethod]
     #[pyo3(signature = (eye, target, width, height, *, up=None, fov=None, fx=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -105,7 +105,8 @@ impl Camera {
         Ok(Self(aimed("Camera.look_at", eye, target, up, k.intrinsics()?).map_err(raised)?))
     }
 
-    /// One camera for each matrix of `poses`, [N, 3|4, 4]; the projection is that of `Camera`, one number for all or one each.
+    /// Creates one camera per matrix of `poses`, [N, 3|4, 4]. The projection is given as for `Camera`: one number for all cameras, or one
+    /// each.
     #[staticmethod]
     #[pyo3(signature = (poses, width, height, *, fov=None, fx=None, fy=None, cx=None, cy=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -147,7 +148,7 @@ impl Camera {
         poses.outer_iter().map(|pose| pose.into_dyn()).enumerate().map(one).collect()
     }
 
-    /// The same view with `factor` times as many pixels along each side.
+    /// Returns the same view with `factor` times as many pixels along each side.
     fn resized(&self, factor: f64) -> PyResult<Self> {
         let intrinsics = resized(self.0.intrinsics, factor).map_err(raised)?;
         Ok(Self(trimip::Camera { intrinsics, ..self.0 }))
@@ -197,7 +198,7 @@ impl Camera {
         self.0.intrinsics.cy
     }
 
-    /// A camera from the text in which it is pickled.
+    /// Creates a camera from its pickled text.
     #[staticmethod]
     fn _restored(text: &str) -> PyResult<Self> {
         serde_json::from_str(text).map(Self).map_err(|error| {

@@ -1,4 +1,4 @@
-//! Errors of the library as exceptions, by their cause.
+//! Errors of the library as Python exceptions, by their cause.
 
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
@@ -15,7 +15,7 @@ create_exception!(trimip, InputError, Error, "A file, a setting or an argument i
 create_exception!(trimip, RunError, Error, "A run failed with valid input, or missed its quality floor.");
 create_exception!(trimip, DeviceError, Error, "The device is missing, too small or lost.");
 
-/// The exception of an error.
+/// Converts an error to its exception.
 pub fn raised(error: trimip::Error) -> PyErr {
     match error.kind {
         ErrorKind::Input => InputError::new_err(error.message),
@@ -24,7 +24,7 @@ pub fn raised(error: trimip::Error) -> PyErr {
     }
 }
 
-/// An argument is wrong.
+/// Creates the exception for a wrong argument.
 pub fn refused(place: &str, what: impl std::fmt::Display, advice: &str) -> PyErr {
     raised(trimip::Error::input(place, what, advice))
 }

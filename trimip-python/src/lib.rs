@@ -1,9 +1,8 @@
-//! Tri-MipRF from Python. The module `trimip._trimip`; `python/trimip` is the package around it.
+//! Python bindings of Tri-MipRF: the native module `trimip._trimip`, which the package in `python/trimip` wraps.
 //!
-//! Arrays are numpy's, errors are exceptions with the text of the program, and the interpreter is free while this library
-//! works. Each file is one class: `camera`, `scene`, `model`, `mesh`, `train`; `capture` is one function;
-//! `listening` brings callbacks and Ctrl-C to long work, `value` converts settings and
-//! events, `error` errors.
+//! Arrays are numpy arrays, errors are exceptions with the program's text, and the interpreter lock is released while the library works.
+//! `camera`, `scene`, `model`, `mesh` and `train` have one class each, and `capture` one function. `listening` brings callbacks and Ctrl-C
+//! to long work, `value` converts settings and events, `error` converts errors.
 
 mod camera;
 mod capture;
@@ -17,7 +16,7 @@ mod value;
 
 use pyo3::prelude::*;
 
-/// Fills the module.
+/// Registers the classes and functions of the module.
 #[pymodule]
 fn _trimip(module: &Bound<'_, PyModule>) -> PyResult<()> {
     let py = module.py();

@@ -1,4 +1,4 @@
-//! How Python listens to long work: a callback that gets events, and Ctrl-C. Both stop the work through one flag.
+//! Callbacks and Ctrl-C during long work. Both stop the work through one flag.
 
 use crate::value;
 use pyo3::prelude::*;
@@ -7,21 +7,21 @@ use serde::Serialize;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// A callback, and what stopped the work.
+/// A callback, and the exception that stopped the work.
 pub struct Listener {
     callback: Option<Py<PyAny>>,
-    /// Set once the work shall stop.
+    /// Set when the work must stop.
     pub stop: AtomicBool,
     raised: Mutex<Option<PyErr>>,
 }
 
 impl Listener {
-    /// A listener of work that has not begun.
+    /// Creates the listener of work that has not started.
     pub fn new(callback: Option<Py<PyAny>>) -> Self {
         Self { callback, stop: AtomicBool::new(false), raised: Mutex::new(None) }
     }
 
-    /// Looks for Ctrl-C.
+    /// Polls for Ctrl-C.
     pub fn check_signals(&self) {
         Python::attach(|py| self.keep(py.check_signals()));
     }
@@ -38,13 +38,13 @@ impl Listener {
         });
     }
 
-    /// What Python raised, once the work has ended.
+    /// Returns the exception that Python raised; called after the work has ended.
     pub fn end(self) -> PyResult<()> {
         let raised = self.raised.into_inner().unwrap_or_else(PoisonError::into_inner);
         raised.map_or(Ok(()), Err)
     }
 
-    /// Stops the work at an error, and keeps the first.
+    /// Stops the work at an error, and keeps the first error.
     fn keep(&self, outcome: PyResult<()>) {
         if let Err(error) = outcome {
             self.stop.store(true, Ordering::Relaxed);

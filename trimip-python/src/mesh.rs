@@ -12,14 +12,14 @@ pub struct Mesh(pub mesh::Mesh);
 
 #[pymethods]
 impl Mesh {
-    /// Places of the vertices: float32 [vertices, 3], world units, counted from `origin`.
+    /// Positions of the vertices relative to `origin`, world units: float32 [vertices, 3].
     #[getter]
     fn positions<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         threes(py, &self.0.positions)
     }
 
-    /// Where these coordinates begin in those of the photographs: three numbers, 0 unless these lie far from the origin of their
-    /// coordinates. Files have the coordinates of the photographs.
+    /// Origin of `positions` in the coordinates of the photographs: three numbers, 0 unless the photographs lie far from the origin of
+    /// their coordinates. Written files have the coordinates of the photographs.
     #[getter]
     fn origin(&self) -> [f64; 3] {
         self.0.origin.numbers()
@@ -31,13 +31,13 @@ impl Mesh {
         threes(py, &self.0.normals)
     }
 
-    /// Colours of the vertices: float32 [vertices, 3]; [0, 3] without.
+    /// Colours of the vertices: float32 [vertices, 3] in [0, 1]; [0, 3] without colours.
     #[getter]
     fn colors<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         threes(py, &self.0.colors)
     }
 
-    /// Vertices of the triangles, counterclockwise from outside: uint32 [triangles, 3].
+    /// Vertex indices of the triangles, counterclockwise from outside: uint32 [triangles, 3].
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         threes(py, &self.0.triangles)
@@ -49,13 +49,13 @@ impl Mesh {
         self.0.volume()
     }
 
-    /// True if it is closed, manifold and oriented.
+    /// True if the mesh is closed, manifold and oriented.
     #[getter]
     fn is_closed(&self) -> bool {
         self.0.defects() == mesh::Defects::default()
     }
 
-    /// Writes a PLY, OBJ or GLB file, by the ending of its name; returns its size in bytes.
+    /// Writes a PLY, OBJ or GLB file, chosen by the file extension; returns its size in bytes.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
         py.detach(|| mesh::write(&self.0, &path)).map_err(raised)
     }

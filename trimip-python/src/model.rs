@@ -1,4 +1,4 @@
-//! `trimip.Model`: a trained model, to render, to query and to measure.
+//! `trimip.Model`: a trained model that can be rendered, queried and measured.
 
 use crate::camera::{Camera, Numbers};
 use crate::error::{raised, refused};
@@ -14,19 +14,19 @@ use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
 use trimip_core::{Query, field::encoders, run::evaluate::ViewResult, scene::origin::LocalOrigin};
 
-/// Views as arrays. One view has [height, width, …], several have [views, height, width, …].
+/// Rendered views as arrays: [height, width, …] for one view, [views, height, width, …] for several.
 #[pyclass(frozen, get_all, module = "trimip")]
 pub struct Frame {
-    /// RGB on the background of the model: float32 […, 3].
+    /// RGB over the background of the model: float32 […, 3].
     color: Py<PyArrayDyn<f32>>,
-    /// Opacity in [0, 1]: float32.
+    /// Opacity in [0, 1]: float32 […].
     opacity: Py<PyArrayDyn<f32>>,
-    /// Distance along the optical axis, world units; infinite where nothing is seen: float32.
+    /// Distance along the optical axis, world units: float32 […]; infinite where nothing is seen.
     depth: Py<PyArrayDyn<f32>>,
 }
 
 impl Frame {
-    /// Views of one size; `shape` is that of the opacities.
+    /// Collects frames of one size; `shape` is the shape of the opacities.
     fn of(py: Python<'_>, shape: &[usize], frames: &[trimip::Frame]) -> PyResult<Self> {
         let colors = frames.iter().flat_map(|frame| frame.rgb()).flatten().collect();
         let opacities = frames.iter().flat_map(pictures::opacity).collect();
@@ -43,7 +43,7 @@ impl Frame {
 }
 
 impl Frame {
-    /// The picture as a PNG of 8 bits; `None` for several views.
+    /// The picture as an 8-bit PNG; `None` for several views.
     fn png(&self, py: Python<'_>) -> PyResult<Option<Vec<u8>>> {
         let [height, width] = *self.opacity.bind(py).shape() else { return Ok(None) };
         let color =
@@ -55,7 +55,7 @@ impl Frame {
 
 #[pymethods]
 impl Frame {
-    /// Writes the colours as a PNG of 8 bits. Of several views, save each: the arrays have them.
+    /// Writes the colours of a single view as an 8-bit PNG. Several views have to be rendered and saved one by one.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let place = path.display().to_string();
         if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
@@ -66,7 +66,7 @@ impl Frame {
         py.detach(|| trimip_core::atomic::write_atomically(&path, &png)).map_err(raised)
     }
 
-    /// What a notebook shows.
+    /// Returns the PNG that a notebook shows; None for several views.
     fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyBytes>>> {
         Ok(self.png(py)?.map(|png| PyBytes::new(py, &png)))
     }
@@ -76,12 +76,12 @@ impl Frame {
     }
 }
 
-/// Asks Python whether the user pressed Ctrl-C. The exception is kept until the work has stopped.
+/// Polls Python for Ctrl-C. The exception is kept until the work has stopped.
 #[derive(Default)]
 pub struct Interrupted(Option<PyErr>);
 
 impl Interrupted {
-    /// False once the user wants to stop.
+    /// False once Ctrl-C was pressed.
     pub fn goes_on(&mut self) -> bool {
         if self.0.is_none() {
             self.0 = Python::attach(|py| py.check_signals()).err();
@@ -89,7 +89,7 @@ impl Interrupted {
         self.0.is_none()
     }
 
-    /// The exception, if there is one.
+    /// Raises the exception, if there is one.
     pub fn raise(self) -> PyResult<()> {
         self.0.map_or(Ok(()), Err)
     }
@@ -105,7 +105,7 @@ impl Watching for Interrupted {
     }
 }
 
-/// A trained model on a backend. Several threads may use one; they take turns.
+/// A trained model on a backend. Several threads may share a model; their calls take turns.
 #[pyclass(frozen, module = "trimip")]
 pub struct Model {
     model: trimip::model::Model,
@@ -113,18 +113,18 @@ pub struct Model {
 }
 
 impl Model {
-    /// Loads a model onto the backend that its settings name.
+    /// Loads a model onto the backend of its settings.
     pub fn open(py: Python<'_>, model: trimip::model::Model) -> PyResult<Self> {
         let viewer = py.detach(|| backends::load(&model)).map_err(raised)?;
         Ok(Self { model, viewer: Mutex::new(viewer) })
     }
 
-    /// Where the coordinates of the model begin in those of the photographs, which Python's have.
+    /// Origin of the model's coordinates in those of the photographs, which Python uses.
     fn origin(&self) -> LocalOrigin {
         LocalOrigin::of(&self.model.config.data)
     }
 
-    /// Works with the viewer while the interpreter is free. A thread that holds the interpreter never waits for the viewer.
+    /// Runs `work` on the viewer with the interpreter lock released. A thread that holds this lock never waits for the viewer.
     fn work<T: Send>(
         &self,
         py: Python<'_>,
@@ -174,7 +174,7 @@ impl Model {
 
 #[pymethods]
 impl Model {
-    /// Loads the model of a run folder or a model file. `settings` change how it is rendered and where its photographs are.
+    /// Loads the model of a run folder or a model file. `settings` override how it is rendered and where its photographs are.
     #[staticmethod]
     #[pyo3(signature = (path, settings=None))]
     fn load(py: Python<'_>, path: PathBuf, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
@@ -187,7 +187,7 @@ impl Model {
         Self::open(py, model.map_err(raised)?)
     }
 
-    /// Renders the view of a camera.
+    /// Renders one view. Its arrays have the shape [height, width, …].
     fn render(&self, py: Python<'_>, camera: &Camera) -> PyResult<Frame> {
         let camera = self.origin().local(camera.0);
         let frame = self.work(py, |viewer, interrupted| {
@@ -196,7 +196,7 @@ impl Model {
         Frame::of(py, &[frame.height as usize, frame.width as usize], &[frame])
     }
 
-    /// Renders the views of several cameras of one size.
+    /// Renders the views of cameras with one picture size. The arrays have the shape [views, height, width, …].
     fn render_batch(&self, py: Python<'_>, cameras: Vec<Camera>) -> PyResult<Frame> {
         let Some(first) = cameras.first().map(|camera| camera.0.intrinsics) else {
             return Err(refused("cameras", "none", "give at least one"));
@@ -219,9 +219,9 @@ impl Model {
         Frame::of(py, &[frames.len(), size[0] as usize, size[1] as usize], &frames)
     }
 
-    /// Density and colour at places: `points` […, 3] in world units, `directions` […, 3] or one from the eye to the place (−z
-    /// without). `radius` is that of the sphere that is asked about (half a marching step without). Returns float32 […],
-    /// per world unit, and float32 […, 3].
+    /// Returns density, float32 […] per world unit, and colour, float32 […, 3], at `points`, […, 3] in world units. `directions` are the
+    /// viewing directions from the eye to the points, […, 3] or a single one (default: −z). `radius` is that of the queried spheres, world
+    /// units (default: half a marching step).
     #[pyo3(signature = (points, directions=None, radius=None))]
     #[expect(clippy::type_complexity, reason = "two arrays")]
     fn query<'py>(
@@ -240,7 +240,7 @@ impl Model {
         Ok((PyArray1::from_vec(py, density).reshape(shape)?, color))
     }
 
-    /// The encoder's features at places, as for `query`: float32 […, features].
+    /// Returns the encoder's features at `points`, with `radius` as in `query`: float32 […, features].
     #[pyo3(signature = (points, radius=None))]
     fn features<'py>(
         &self,
@@ -255,9 +255,9 @@ impl Model {
         PyArray1::from_vec(py, found).reshape([&leading(&points)[..], &[width]].concat())
     }
 
-    /// The surface as a mesh, closed unless the scene has a crop (`scene.crop`) or is contracted: where the density crosses `level` (by default that of which a marching step has an
-    /// optical depth of 0.2) on a grid of `resolution` cells along the longest side, simplified to about `triangles` (0 for
-    /// no simplification).
+    /// Extracts the surface where the density crosses `level` (by default the density at which a marching step has an optical depth of
+    /// 0.2), on a grid of `resolution` cells along the longest side, simplified to about `triangles` triangles (0: all are kept). The mesh
+    /// is closed unless the scene has a crop (`scene.crop`) or is contracted.
     #[pyo3(signature = (resolution=512, *, level=None, triangles=100_000, specks=0.02, colors=true))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn mesh(
@@ -273,7 +273,7 @@ impl Model {
         let model = &self.model;
         let what = Extraction { resolution, level, specks, goal, colors, ..Extraction::of(&model.config) };
         let extracted = self.work(py, |viewer, interrupted| {
-            // Where the photographs are not there, what nobody sees at all is told from the surface alone.
+            // Without the photographs' cameras, hidden parts are found from the surface only.
             let cameras = model.config.section().and_then(|config| data::open_test(&config));
             let cameras = cameras.map(|set| set.train).unwrap_or_default();
             mesh::extract(viewer, model, &what, &cameras, &mut |_| interrupted.goes_on())
@@ -281,8 +281,8 @@ impl Model {
         Ok(Mesh(extracted.mesh))
     }
 
-    /// Measures every `stride`-th test view at every scale, as `trimip-cli eval` does. Returns a dictionary: `scales` and
-    /// `views` (PSNR, SSIM, …), `mean`, `seconds`.
+    /// Measures every `stride`-th test view at every scale, as `trimip-cli eval` does. Returns a dictionary with `stride`, `scales` and
+    /// `views` (PSNR, SSIM, …), `mean` and `seconds`.
     #[pyo3(signature = (stride=1))]
     fn evaluate<'py>(&self, py: Python<'py>, stride: usize) -> PyResult<Bound<'py, PyAny>> {
         let config = &self.model.config;
@@ -304,7 +304,7 @@ impl Model {
         )
     }
 
-    /// Writes the model file; returns its size in bytes.
+    /// Writes the model file and returns its size in bytes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
         py.detach(|| self.model.write(&path)).map_err(raised)
     }
@@ -316,20 +316,20 @@ impl Model {
         value::python(py, &settings.table())
     }
 
-    /// Where the coordinates of `aabb` and of a mesh's positions begin in those of the photographs, which cameras and points have:
-    /// three numbers, 0 unless the photographs lie far from the origin of their coordinates (data.origin).
+    /// Origin of the model's own coordinates (`aabb`, mesh positions) in those of the photographs, which cameras and points use: three
+    /// numbers, 0 unless the photographs lie far from the origin of their coordinates (data.origin).
     #[getter]
     fn local_origin(&self) -> [f64; 3] {
         self.origin().numbers()
     }
 
-    /// The box of the scene: its two corners, world units, counted from `local_origin`.
+    /// Lower and upper corner of the scene's box, world units, relative to `local_origin`.
     #[getter]
     fn aabb(&self) -> ([f32; 3], [f32; 3]) {
         (self.model.config.scene.aabb_min, self.model.config.scene.aabb_max)
     }
 
-    /// Backend and device.
+    /// Names of the backend and the device.
     #[getter]
     fn device(&self, py: Python<'_>) -> PyResult<String> {
         self.work(py, |viewer, _| Ok(Some(format!("{}: {}", viewer.backend(), viewer.device_name()))))
@@ -340,7 +340,7 @@ impl Model {
     }
 }
 
-/// The shape of places without the axis of their three numbers; that of one place is [1].
+/// The shape of points without their last axis of three numbers; [1] for a single point.
 fn leading(points: &Numbers<'_>) -> Vec<usize> {
     let array = points.as_array();
     match array.ndim() {
@@ -349,7 +349,7 @@ fn leading(points: &Numbers<'_>) -> Vec<usize> {
     }
 }
 
-/// Rows of three finite numbers, whatever axes come before; one row may stand alone.
+/// Rows of three finite numbers, with any leading axes; a single row needs none.
 fn threes(name: &str, numbers: &Numbers<'_>) -> PyResult<Vec<[f64; 3]>> {
     let array = numbers.as_array();
     if array.shape().last() != Some(&3) {

@@ -25,7 +25,7 @@ impl Scene {
         }
     }
 
-    /// A frame at all scales, and the index of the one reduced by `scale`.
+    /// Loads a frame at all scales; returns it with the index of the view reduced by `scale`.
     fn load(&self, py: Python<'_>, index: usize, split: &str, scale: u32) -> PyResult<(ViewSet, usize)> {
         let frames = self.frames(split)?;
         if index >= frames.len() {
@@ -49,7 +49,7 @@ impl Scene {
 
 #[pymethods]
 impl Scene {
-    /// Opens a folder of photographs; without one, the built-in scene, or what `settings` name.
+    /// Opens a folder of photographs; without `root`, the built-in scene, or the data that `settings` select.
     #[new]
     #[pyo3(signature = (root=None, settings=None))]
     fn new(py: Python<'_>, root: Option<PathBuf>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
@@ -67,25 +67,25 @@ impl Scene {
         Ok(Self { config, set })
     }
 
-    /// Name of the folder, or "builtin".
+    /// Name of the scene's folder, or "builtin".
     #[getter]
     fn name(&self) -> &str {
         &self.set.name
     }
 
-    /// What is doubtful about the data, a line each.
+    /// Warnings about the data, one line each.
     #[getter]
     fn warnings(&self) -> Vec<String> {
         self.set.warnings.clone()
     }
 
-    /// Number of views of a split.
+    /// Returns the number of photographs of a split.
     #[pyo3(signature = (split="test"))]
     fn count(&self, split: &str) -> PyResult<usize> {
         Ok(self.frames(split)?.len())
     }
 
-    /// Cameras of a split ("test" or "train") at the finest scale.
+    /// Returns the cameras of a split ("test" or "train") at full size.
     #[pyo3(signature = (split="test"))]
     fn cameras(&self, split: &str) -> PyResult<Vec<Camera>> {
         let frames = self.frames(split)?;
@@ -94,7 +94,7 @@ impl Scene {
         Ok(all.into_iter().step_by(each).map(Camera).collect())
     }
 
-    /// A photograph on the background of the settings: float32 [height, width, 3] in [0, 1].
+    /// Returns a photograph, composited over the background of the settings: float32 [height, width, 3] in [0, 1].
     #[pyo3(signature = (index, split="test", scale=1))]
     fn photograph<'py>(
         &self,
@@ -109,8 +109,8 @@ impl Scene {
         PyArray1::from_vec(py, rgb.into_flattened()).reshape([k.height as usize, k.width as usize, 3])
     }
 
-    /// The stored pixels of a photograph: uint8 [height, width, 4]; alpha is opacity, or for masked captures the share of the
-    /// pixel that counts.
+    /// Returns the stored RGBA pixels of a photograph: uint8 [height, width, 4]. Alpha is the opacity or, for masked captures, the share of
+    /// the pixel that counts.
     #[pyo3(signature = (index, split="test", scale=1))]
     fn pixels<'py>(
         &self,

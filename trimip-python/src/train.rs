@@ -1,4 +1,4 @@
-//! `trimip.train`, and what it returns.
+//! `trimip.train`, and the run that it returns.
 
 use crate::error::{raised, refused};
 use crate::listening::Listener;
@@ -13,7 +13,7 @@ use trimip::report::{Status, text};
 use trimip::run::Recorded;
 use trimip::{Ended, Listeners, Settings, Training, events::Event};
 
-/// A run: its folder, how it ended, and its measures.
+/// A training run: its folder, how it ended, and its measures.
 #[pyclass(frozen, module = "trimip")]
 pub struct Run {
     recorded: Recorded,
@@ -22,7 +22,7 @@ pub struct Run {
 
 #[pymethods]
 impl Run {
-    /// Opens the run of a folder, which this package or the program trained. Its photographs need not be there.
+    /// Opens the run of a folder that this package or trimip-cli trained. Its photographs are not needed.
     #[staticmethod]
     fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
         let recorded = py.detach(|| Recorded::open(&folder)).map_err(raised)?;
@@ -36,7 +36,7 @@ impl Run {
         self.recorded.folder.root()
     }
 
-    /// "finished", "stopped", or "before" if the folder already held this run and nothing was done.
+    /// How the run ended: "finished", "stopped", or "before" if the folder already held the finished run and nothing was done.
     #[getter]
     fn ended(&self) -> &'static str {
         match self.ended {
@@ -46,41 +46,41 @@ impl Run {
         }
     }
 
-    /// All settings, with those that the scene plan decided, as nested dictionaries.
+    /// All settings, including those that the scene plan decided, as nested dictionaries.
     #[getter]
     fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         value::python(py, &self.recorded.settings.table())
     }
 
-    /// The evaluations of the run, in order: dictionaries with `seconds` of training, `samples`, `psnr`, `ssim` and `scales`.
+    /// The evaluations in order: dictionaries with `step`, `seconds`, `samples`, `psnr` (dB), `ssim`, `scales` and `last`.
     #[getter]
     fn evaluations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         value::python(py, &evaluations(&self.recorded))
     }
 
-    /// The verdict on the model in one line: its grade, the mean PSNR, what it is a mean of, and what may help.
+    /// The verdict on the model in one line: its grade, the mean PSNR and what it is a mean of, and what may improve it.
     #[getter]
     fn verdict(&self) -> String {
         self.recorded.report().verdict().words()
     }
 
-    /// The table of measures per scale as a LaTeX `tabular`, the text of report.tex.
+    /// Returns the measures per scale as a LaTeX `tabular`, as in report.tex.
     fn to_latex(&self) -> String {
         text::latex(&self.recorded.report())
     }
 
-    /// The same as Markdown, the text of report.md.
+    /// Returns the measures per scale as a Markdown table, as in report.md.
     fn to_markdown(&self) -> String {
         text::markdown(&self.recorded.report())
     }
 
-    /// Writes the report again, as after training: report.html with its pictures, report.json, tables. The path of report.html.
+    /// Rewrites the report, as after training: report.html with its pictures, report.json, tables. Returns the path of report.html.
     fn report(&self, py: Python<'_>) -> PyResult<PathBuf> {
         py.detach(|| trimip_report::write(&self.recorded)).map_err(raised)?;
         Ok(self.recorded.folder.html())
     }
 
-    /// The trained model.
+    /// Loads the trained model.
     fn model(&self, py: Python<'_>) -> PyResult<Model> {
         let model = py.detach(|| trimip::read_model(self.recorded.folder.root())).map_err(raised)?;
         Model::open(py, model)
@@ -91,7 +91,7 @@ impl Run {
     }
 }
 
-/// Settings of a system, a file or a dictionary, and a dictionary over them; and the run folder's default name.
+/// Merges the settings of a system, then of a file or a dictionary, then of another dictionary; also returns the default run folder.
 fn given(
     config: Option<&Bound<'_, PyAny>>,
     settings: Option<&Bound<'_, PyDict>>,
@@ -133,12 +133,12 @@ fn given(
     Ok((all, Path::new("runs").join(name)))
 }
 
-/// Trains into a run folder, or resumes the run that is there.
+/// Trains in a run folder, or resumes the run of that folder.
 ///
-/// `config` is a dictionary of settings or the path of a configuration file, `settings` a dictionary over it, `system` one of
-/// `systems()`; `out` is `runs/<name>` without. `callback` gets every event as a dictionary; if it returns False, the run
-/// stops after the step and saves. So does Ctrl-C, which then raises KeyboardInterrupt; an exception of the callback does too.
-/// The same call resumes with the same bits. The folder has the same files as the program's.
+/// `config` is a dictionary of settings or the path of a configuration file; `settings` overrides it, and `system` is one of `systems()`.
+/// `out` defaults to `runs/<name>`. `callback` receives every event as a dictionary. The run stops after the current step and saves if the
+/// callback returns False or raises, or at Ctrl-C, which then raises KeyboardInterrupt. The same call resumes the run, with the same bits
+/// as an uninterrupted one. The run folder has the same files as one of trimip-cli.
 #[pyfunction]
 #[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -195,19 +195,19 @@ fn evaluations(run: &Recorded) -> Value {
     run.history.evaluations.iter().map(one).collect()
 }
 
-/// All settings and their defaults, as nested dictionaries.
+/// Returns all settings with their defaults, as nested dictionaries.
 #[pyfunction]
 pub fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     value::python(py, &trimip::settings::defaults().table())
 }
 
-/// Names of the systems that `train` can begin with.
+/// Returns the names of the systems that `train` accepts.
 #[pyfunction]
 pub fn systems() -> Vec<&'static str> {
     trimip::systems::SYSTEMS.iter().map(|system| system.name).collect()
 }
 
-/// Names of the backends that work on this machine.
+/// Returns the names of the backends that work on this machine.
 #[pyfunction]
 pub fn backends() -> Vec<String> {
     trimip::backends::usable()

@@ -1,4 +1,4 @@
-//! Settings from Python's dictionaries, and JSON values as Python's.
+//! Converts Python dictionaries to settings, and JSON values to Python.
 
 use crate::error::{raised, refused};
 use pyo3::prelude::*;
@@ -8,9 +8,9 @@ use std::path::PathBuf;
 use toml::Value;
 use trimip::Settings;
 
-/// A TOML value; `path` names it in errors.
+/// Converts a Python value to TOML; `path` is the setting that errors name.
 fn toml_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
-    // `True` is an int too.
+    // In Python, `True` is an int too.
     if let Ok(value) = value.cast::<PyBool>() {
         return Ok(Value::Boolean(value.is_true()));
     }
@@ -27,7 +27,7 @@ fn toml_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
         let items = value.try_iter()?.map(|item| toml_value(path, &item?));
         return Ok(Value::Array(items.collect::<PyResult<_>>()?));
     }
-    // Paths, and numbers of numpy.
+    // Paths and numpy numbers.
     if let Ok(path) = value.extract::<PathBuf>() {
         return Ok(Value::String(path.display().to_string()));
     }
@@ -42,7 +42,7 @@ fn toml_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
     ))
 }
 
-/// Applies a dictionary: `{"train.seconds": 60}` or `{"train": {"seconds": 60}}`.
+/// Applies a dictionary of settings: `{"train.seconds": 60}` or `{"train": {"seconds": 60}}`.
 pub fn apply(settings: &mut Settings, values: &Bound<'_, PyDict>) -> PyResult<()> {
     put(settings, "", values)
 }
@@ -59,7 +59,7 @@ fn put(settings: &mut Settings, section: &str, values: &Bound<'_, PyDict>) -> Py
     Ok(())
 }
 
-/// A dictionary as the assignments of a command line, `section.key=value`.
+/// Converts a dictionary to assignments as on the command line, `section.key=value`.
 pub fn assignments(values: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<String>> {
     let mut all = Vec::new();
     if let Some(values) = values {
@@ -80,13 +80,13 @@ fn flatten(all: &mut Vec<String>, section: &str, values: &Bound<'_, PyDict>) -> 
     Ok(())
 }
 
-/// A JSON value as Python's `json` reads it.
+/// Converts a value to Python through JSON.
 pub fn python<'py>(py: Python<'py>, value: &impl serde::Serialize) -> PyResult<Bound<'py, PyAny>> {
     let text = serde_json::to_string(value).map_err(|error| raised(trimip::Error::run(error)))?;
     py.import("json")?.call_method1("loads", (text,))
 }
 
-/// A dictionary as JSON, by Python's `json`.
+/// Converts a dictionary to JSON with Python's `json`.
 pub fn json(value: &Bound<'_, PyDict>) -> PyResult<Json> {
     let text: String = value.py().import("json")?.call_method1("dumps", (value,))?.extract()?;
     serde_json::from_str(&text).map_err(|error| refused("lens", error, "give the keys of transforms.json"))

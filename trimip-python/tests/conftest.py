@@ -1,4 +1,4 @@
-"""A run that every test shares, and the command line beside it."""
+"""A run that all tests share, and the command-line program."""
 
 import os
 import shutil
@@ -23,7 +23,7 @@ TINY = {
 
 
 def program() -> str:
-    """Path of trimip-cli: TRIMIP_CLI, the release or debug build beside these files, or the one on the PATH."""
+    """Path of trimip-cli: TRIMIP_CLI, the release or debug build in this repository, or the one on the PATH."""
     target = Path(__file__).parents[2] / "target"
     for found in (os.environ.get("TRIMIP_CLI"), target / "release/trimip-cli", target / "debug/trimip-cli"):
         if found and Path(found).is_file():
@@ -43,7 +43,7 @@ def cli():
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory):
-    """A run and the events that its callback saw."""
+    """A run and the events that its callback received."""
     events = []
     out = tmp_path_factory.mktemp("runs") / "tiny"
     return trimip.train(TINY, out, callback=events.append), events

@@ -1,8 +1,8 @@
-// The cameras of the photographs as pyramids over the picture.
+// Draws the cameras of the photographs as pyramids over the picture.
 
 import { column, project } from "./orbit.js";
 
-/** Length of a pyramid, relative to the radius of the box. */
+/** Length of a pyramid, as a share of the radius of the box. */
 const LENGTH = 0.12;
 
 /** Corners of a camera's pyramid: its apex, then its base. */
@@ -16,7 +16,7 @@ function corners({ pose, fov, width, height }, length) {
 
 const EDGES = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]];
 
-/** Draws the cameras of all sets; `chosen` is drawn bold. */
+/** Draws the cameras of all sets; `chosen` gets bold lines. */
 export function drawFrusta(canvas, sets, pose, fov, radius, chosen) {
   const context = canvas.getContext("2d");
   const { width, height } = canvas;

@@ -1,9 +1,9 @@
-// Mouse, touch, wheel and keys turn, move and zoom a camera. A dialog lists them.
+// Turns, moves and zooms a camera by mouse, touch, wheel and keys. A dialog lists the keys.
 
-/** Where the arrow keys turn and move the camera: right and up. */
+/** Direction in which each arrow key turns or moves the camera: [right, up]. */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
-/** Symbols that the list shows for the browser's names of keys. */
+/** Symbols by which the dialog shows the browser's names of keys. */
 const SYMBOLS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", "-": "−" };
 
 /**
@@ -54,7 +54,7 @@ export function gestures(view, orbit, changed, leave = () => {}) {
   const list = () => find("keys").showModal();
   const fullScreen = () => {
     const done = document.fullscreenElement ? document.exitFullscreen() : find("stage").requestFullscreen?.();
-    // The browser may forbid it.
+    // The browser may refuse full screen.
     done?.catch(() => {});
   };
   const rows = keyRows(orbit, list, fullScreen);
@@ -103,7 +103,7 @@ export function gestures(view, orbit, changed, leave = () => {}) {
   );
   view.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    // Plus without shift, where both are on one key.
+    // "=" counts as plus, because both are on one key of many keyboards.
     const key = event.key === "=" ? "+" : event.key;
     const row = rows.find(({ keys, shift = event.shiftKey }) => Object.hasOwn(keys, key) && shift === event.shiftKey);
     if (!row) return;

@@ -1,9 +1,9 @@
-// The web socket: one request is under way at a time, the newest waits. It is opened again when it breaks.
+// The web socket: one request is in flight at a time, and the newest other one waits. The socket is reopened when it breaks.
 
-/** Milliseconds after which a request without an answer is taken for lost. */
+/** Milliseconds after which a request without an answer counts as lost. */
 const LOST = 10000;
 
-/** Milliseconds until the first and the last try to open it again. */
+/** Milliseconds before the socket is reopened: the first pause, and the longest. */
 const AGAIN = [300, 5000];
 
 export class Link {
@@ -59,14 +59,14 @@ export class Link {
     this.flush();
   }
 
-  /** Asks for a view; of several only the newest is sent. */
+  /** Asks for a view. While an answer is pending, only the newest request is kept. */
   ask(request) {
     this.last = request;
     this.wanted = { ...request, made: performance.now() };
     this.flush();
   }
 
-  /** Steers the run: "pause", "resume" or "stop". */
+  /** Controls the run: "pause", "resume" or "stop". */
   command(command) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ command }));
   }

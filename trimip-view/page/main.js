@@ -1,4 +1,4 @@
-// The page: controls, and what happens when they change.
+// The page: its controls, and what happens when they change.
 
 import { Orbit } from "./orbit.js";
 import { Link } from "./link.js";
@@ -9,10 +9,10 @@ import { control, tell } from "./training.js";
 const find = (id) => document.getElementById(id);
 const [view, photo, frusta] = [find("view"), find("photo"), find("frusta")];
 
-/** Milliseconds without a change after which the view stands still. */
+/** Milliseconds without a change after which the camera counts as still. */
 const STILL = 160;
 
-/** Largest side of a picture, pixels. */
+/** Longest side of a picture, pixels. */
 const MOST = 2048;
 
 /** Most characters of a name in the list of photographs. */
@@ -60,7 +60,7 @@ function say(text) {
   find("message").textContent = text;
 }
 
-/** A name that fits the list: a long one has its beginning and its end. */
+/** A name that fits the list: of a long name, its beginning and its end. */
 function shortened(name) {
   const letters = [...name];
   if (letters.length <= LONGEST) return name;
@@ -71,7 +71,7 @@ function shortened(name) {
 const currentPose = () => (chosen ? chosen.camera.pose : orbit.pose());
 const currentFov = () => (chosen ? chosen.camera.fov : orbit.fov);
 
-/** Size of the finest picture. A photograph's has the ratio of its sides. */
+/** Size of the finest picture. With a chosen photograph, it has the photograph's aspect ratio. */
 function size() {
   const factor = (Number(find("scale").value) / 100) * (window.devicePixelRatio || 1);
   let [width, height] = [view.clientWidth * factor, view.clientHeight * factor];
@@ -99,7 +99,7 @@ function request(moving) {
   });
 }
 
-/** Two sliders for each axis: the ends of the part of the box that is shown. */
+/** Two sliders per axis: the ends of the shown part of the box. */
 const clips = ["x", "y", "z"].map((axis) =>
   [0, 100].map((value, end) => {
     const label = `${end ? "upper" : "lower"} end of the box along ${axis}`;
@@ -124,7 +124,7 @@ find("crop").querySelector("code").textContent = scene.crop;
 find("cropped").checked = find("crop").closest("details").open = scene.cropped;
 find("cropped").addEventListener("change", settled);
 
-/** The part of the box that is shown, or null for all. */
+/** The shown part of the box, or null for everything. */
 function clip() {
   const whole = clips.every(([low, high]) => low.value === "0" && high.value === "100");
   find("unclip").disabled = whole;
@@ -133,10 +133,10 @@ function clip() {
   const at = (axis, share) => min[axis] + share * (max[axis] - min[axis]);
   const parts = clips.map(([low, high]) => {
     const ends = [low, high].map((slider) => Number(slider.value) / 100).sort((a, b) => a - b);
-    // A box without inside shows a slice.
+    // If both sliders are equal, a thin slice is shown.
     return ends[0] === ends[1] ? [ends[0] - 0.005, ends[1] + 0.005] : ends;
   });
-  // An end that is not moved leaves everything beyond it: unbounded scenes go on outside of the box.
+  // A slider at its end leaves everything beyond it: unbounded scenes continue outside the box.
   const far = (share) => (share <= 0 ? -1e30 : share >= 1 ? 1e30 : null);
   return [0, 1].map((end) => parts.map((part, axis) => far(part[end]) ?? at(axis, part[end])));
 }
@@ -171,7 +171,7 @@ async function receive(header, jpeg, waited) {
   if (turn < drawn) return bitmap.close();
   drawn = turn;
   const [width, height] = size();
-  // The canvas has the finest size, so that coarse pictures fill the same place.
+  // The canvas always has the finest size, so that coarse pictures fill the same area.
   if (view.width !== width || view.height !== height) {
     [view.width, view.height] = [width, height];
     divide();
@@ -187,7 +187,7 @@ async function receive(header, jpeg, waited) {
   find("rendered").textContent = `${header.rendered.toFixed(0)} ms`;
   find("waited").textContent = waited === null ? "–" : `${waited.toFixed(0)} ms`;
   find("rate").textContent = String(times.length);
-  // They are counted where they are shown; the last count stays.
+  // Only some pictures come with a sample count; otherwise the last count stays.
   if (header.samples !== undefined) find("samples").textContent = header.samples.toFixed(1);
   find("range").hidden = !header.range;
   if (header.range) {
@@ -202,7 +202,7 @@ async function receive(header, jpeg, waited) {
   view.dataset.bytes = jpeg.size;
 }
 
-/** Shows the photograph beside the model, or leaves it. */
+/** Shows a photograph over the model; the value "" leaves it. */
 async function choose(value) {
   const [split, index] = value.split(" ");
   const camera = scene.cameras.find((set) => set.split === split)?.views[Number(index)];
@@ -230,7 +230,7 @@ async function choose(value) {
   divide();
 }
 
-/** Shows the photograph right of the slider. */
+/** Clips the photograph so that it covers the picture to the right of the slider. */
 function divide() {
   // The picture may be narrower than the stage.
   const [stage, ratio] = [view.clientWidth, view.width / view.height];
@@ -240,7 +240,7 @@ function divide() {
   photo.hidden = !chosen || find("show").value !== "color";
 }
 
-/** A free view goes on from where the photograph was taken. */
+/** Leaves the photograph: the free view continues with its field of view. */
 function leave() {
   if (chosen) {
     orbit.fov = chosen.camera.fov;
@@ -284,14 +284,14 @@ function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
 }
 find("picture").addEventListener("click", () => view.toBlob((blob) => download(`${scene.name}.png`, blob)));
-/** A pose as `--pose` and `--path` read it: in the coordinates of the photographs, from which the page's count from scene.origin. */
+/** The pose that `--pose` and `--path` read, in the photographs' coordinates: the page's coordinates start at scene.origin. */
 const rows = (pose) => {
   const row = (i) => [...pose.slice(4 * i, 4 * i + 3), pose[4 * i + 3] + (scene.origin[i] ?? 0)];
   return [row(0), row(1), row(2), [0, 0, 0, 1]];
 };
 find("pose").addEventListener("click", async () => {
   const text = JSON.stringify(rows(currentPose()));
-  // Without https only this machine's own pages have a clipboard.
+  // Without https, browsers offer the clipboard only to pages of the same machine.
   await (navigator.clipboard?.writeText(text) ?? Promise.reject()).then(
     () => say("The pose is in the clipboard: trimip-cli render … --pose '…'"),
     () => say(text),

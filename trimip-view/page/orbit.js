@@ -1,5 +1,5 @@
-// A camera that turns around a point. Vectors are arrays of three numbers, world units; a pose is a camera-to-world matrix
-// [R|t] of 12 numbers row by row, its axes right, up and back.
+// A camera that orbits a point. Vectors are arrays of three numbers in world units. A pose is a camera-to-world matrix [R|t], 12 numbers
+// row by row; its axes are right, up and back.
 
 const add = (a, b) => a.map((x, i) => x + b[i]);
 const scaled = (a, s) => a.map((x) => x * s);
@@ -8,14 +8,14 @@ export const subtract = (a, b) => a.map((x, i) => x - b[i]);
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const normalized = (a) => scaled(a, 1 / Math.hypot(...a));
 
-/** Steepest view, radians: straight from above there is no upright picture. */
+/** Largest pitch, radians: straight from above, the upright direction is undefined. */
 const STEEPEST = 1.55;
 
-/** Axis number `axis` of a pose: 0 right, 1 up, 2 back; 3 is the place of the camera. */
+/** Column `axis` of a pose: 0 right, 1 up, 2 back, 3 the position of the camera. */
 export const column = (pose, axis) => [pose[axis], pose[4 + axis], pose[8 + axis]];
 
 export class Orbit {
-  /** A camera at `start`, a pose with its angle; without one around the middle of a box, far enough to see all of it in a stage of this size. */
+  /** A camera at `start` (a pose and a field of view). Without it, the camera orbits the middle of `box` and sees all of it in `stage`. */
   constructor(box, up, fov, stage, start = null) {
     this.stage = stage;
     this.start = start;
@@ -36,7 +36,7 @@ export class Orbit {
     }
     this.target = [...this.middle];
     const ratio = this.stage.clientHeight / this.stage.clientWidth || 1;
-    // The angle is that of the width.
+    // The field of view is horizontal.
     const half = Math.atan(Math.tan((this.fov * Math.PI) / 360) * Math.min(1, ratio));
     this.distance = this.radius / Math.sin(half);
     this.yaw = 0.7;
@@ -58,7 +58,7 @@ export class Orbit {
     return [0, 1, 2].flatMap((i) => [right[i], up[i], back[i], eye[i]]);
   }
 
-  /** Takes the place and direction of a pose, upright; turns around the point before it that is nearest to the middle. */
+  /** Takes the position and direction of a pose, upright. The target becomes the point on the optical axis nearest to the middle. */
   follow(pose) {
     const back = normalized(column(pose, 2));
     const eye = column(pose, 3);
@@ -73,7 +73,7 @@ export class Orbit {
     this.pitch = Math.min(Math.max(this.pitch + pitch, -STEEPEST), STEEPEST);
   }
 
-  /** Moves the target by parts of the picture's width, right and up. */
+  /** Moves the target right and up, in widths of the picture. */
   pan(x, y) {
     const pose = this.pose();
     const width = 2 * this.distance * Math.tan((this.fov * Math.PI) / 360);
@@ -86,7 +86,7 @@ export class Orbit {
   }
 }
 
-/** Place of a point in a picture of `width` by `height` pixels, or null behind the camera. */
+/** Pixel position of a point in a picture of `width` by `height` pixels, or null if it is behind the camera. */
 export function project(point, pose, fov, width, height) {
   const from = subtract(point, column(pose, 3));
   const depth = -dot(from, column(pose, 2));

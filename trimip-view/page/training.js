@@ -1,8 +1,8 @@
-// A run that is watched: its state, the curve of its error, and the buttons that control it.
+// The watched run: its state, the curve of its error, and the buttons that control it.
 
 const find = (id) => document.getElementById(id);
 
-/** Size of the curve's picture, pixels of its own coordinates. */
+/** Size of the curve's drawing, in units of its viewBox. */
 const [WIDTH, HEIGHT, MARGIN] = [260, 110, 24];
 
 const clock = (seconds) =>
@@ -16,7 +16,7 @@ const WORDS = {
   finished: "finished: trimip-cli view RUN shows it",
 };
 
-/** Lets the buttons send commands. */
+/** Connects the buttons to `send`, which receives their commands. */
 export function control(send) {
   find("training").hidden = false;
   find("pause").addEventListener("click", () => send(find("pause").dataset.command));

@@ -1,9 +1,9 @@
-//! A model in a browser. A page of plain modules asks for views over a web socket; one thread renders them, coarse while the
-//! camera moves and fine when it stands still, and answers with JPEG pictures.
+//! The viewer: shows a model in a browser. A page of plain JavaScript modules requests views over a web socket. One thread renders them,
+//! coarsely while the camera moves and at full resolution when it stands still, and answers with JPEG pictures.
 //!
-//! Data flows one way: [`protocol`] (what a page may ask) → [`render_thread`] (the thread that renders) → [`picture`] (a frame as a
-//! picture) → [`server`] (the server: the page, the socket, who may enter). [`scene`] holds what is shown: the model, its box,
-//! and the photographs beside it. [`live_view`] stands between a run and the pages that watch it.
+//! Modules, in the direction of the data: [`protocol`] (what a page may request) → [`render_thread`] (the thread that renders) →
+//! [`picture`] (from a frame to a picture) → [`server`] (the page, the socket, and access control). [`scene`] holds what is shown: the
+//! model, its box, and the photographs. [`live_view`] connects a training run with the pages that watch it.
 
 #![forbid(unsafe_code)]
 

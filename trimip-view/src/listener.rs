@@ -1,4 +1,4 @@
-//! Connections, as many as a page needs: more wait, and one that sends nothing for long is closed.
+//! Accepts connections up to a limit, beyond which they wait, and closes those that stay silent.
 
 use axum::serve::Listener;
 use std::future::Future;
@@ -13,7 +13,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Connections at a time. Each is an open file, which the run of this process needs too.
+/// Most simultaneous connections. Each takes a file descriptor, which the training run in this process needs too.
 const MOST: usize = 256;
 
 /// A connection that sends nothing for this long is closed. Browsers answer the pings of a web socket more often.
@@ -45,7 +45,7 @@ impl Listener for Patient {
             let seat = Arc::clone(&self.seats).acquire_owned().await.ok();
             match self.listener.accept().await {
                 Ok((stream, address)) => {
-                    // A picture's last part is not held back; without it, it is only later.
+                    // Sends the last part of a picture without delay. If the option cannot be set, that part is only later.
                     let _ = stream.set_nodelay(true);
                     let silence = Box::pin(sleep(SILENCE));
                     return (Connection { stream, silence, _seat: seat }, address);
@@ -60,7 +60,7 @@ impl Listener for Patient {
     }
 }
 
-/// A connection that is closed when it is silent.
+/// A connection that is closed after a silence.
 pub struct Connection {
     stream: TcpStream,
     silence: Pin<Box<Sleep>>,

@@ -1,5 +1,4 @@
-//! The live view of a training run. Pages show the model as it is learned and the curve of its error, and can pause, resume or
-//! stop the run.
+//! The live view of a training run. Pages show the current model and the curve of its error, and can pause, resume or stop the run.
 
 use crate::protocol::Command;
 use crate::scene::Scene;
@@ -15,13 +14,13 @@ use trimip_core::engine::events::{Event, Totals};
 use trimip_core::field::model::Model;
 use trimip_core::run::Observer;
 
-/// Shortest time between two states of the model that are shown.
+/// Shortest time between two shown states of the model.
 const RENEWED: Duration = Duration::from_secs(2);
 
-/// The same, in times of loading one: a GPU compiles its kernels again.
+/// Shortest time between two shown states of the model, in multiples of the time to load one: a GPU compiles its kernels again.
 const LOADS: u32 = 10;
 
-/// How often a paused run looks whether it goes on.
+/// Interval at which a paused run polls for the resume command.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// The pages that watch one run. Clones share their state: one receives the events, the other observes the run.
@@ -31,7 +30,7 @@ pub struct LiveView {
 }
 
 struct Shared {
-    /// The address to open, with its token.
+    /// The address to open; it contains the token.
     address: String,
     name: String,
     paused: Arc<AtomicBool>,
@@ -43,18 +42,18 @@ struct State {
     /// `None` once the server is open.
     listener: Option<Listener>,
     server: Option<Server>,
-    /// When a state of the model was shown last.
+    /// Time at which a state of the model was last shown.
     shown: Option<Instant>,
-    /// True if the state at which the run was paused is shown.
+    /// True if the pages show the state at which the run was paused.
     still: bool,
-    /// What the pages are told, but for the points of the curve.
+    /// Status of the run that pages receive, without the points of the curve.
     status: Value,
     /// Seconds of training and PSNR of each evaluation.
     curve: Vec<[f64; 2]>,
 }
 
 impl LiveView {
-    /// Binds the address at which pages will watch the run `name`; they wait until its first step is done. `stop` ends the run.
+    /// Binds the address at which pages will watch the run `name`. Pages wait until the first step is done. Setting `stop` ends the run.
     ///
     /// # Errors
     /// When the address is taken or cannot be bound.
@@ -73,12 +72,12 @@ impl LiveView {
         Ok(Self { shared: Arc::new(Shared { address, name, paused, stop, state }) })
     }
 
-    /// The address to open.
+    /// The address to open; it contains the token.
     pub fn address(&self) -> &str {
         &self.shared.address
     }
 
-    /// Tells the pages what happened.
+    /// Updates the status from an event and sends it to the pages.
     pub fn handle(&self, event: &Event) {
         let mut state = self.shared.state();
         match event {
@@ -94,7 +93,7 @@ impl LiveView {
                 state.curve.push([totals.seconds, *psnr]);
             }
             Event::Stopped { .. } => state.status["state"] = "stopped".into(),
-            // The final evaluation follows.
+            // The final evaluation is still to come.
             Event::Finished { .. } => state.status["state"] = "measuring".into(),
             Event::SessionEnded { .. } if state.status["state"] == "measuring" => {
                 state.status["state"] = "finished".into();
@@ -110,7 +109,7 @@ impl Shared {
         self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Opens the server, once there is a model.
+    /// Opens the server with the first model.
     fn open(&self, state: &mut State, model: Model) -> Result<()> {
         let Some(listener) = state.listener.take() else { return Ok(()) };
         let (paused, stop) = (Arc::clone(&self.paused), Arc::clone(&self.stop));
@@ -174,7 +173,7 @@ impl Observer for LiveView {
         if let Some(server) = &state.server {
             return server.render_thread().show(model);
         }
-        // The run goes on without its live view.
+        // A failure does not stop the run: it continues without a live view.
         if let Err(error) = self.shared.open(&mut state, model) {
             eprintln!("warning: the run cannot be watched: {error}");
         }

@@ -1,10 +1,10 @@
-//! Parts of the page that a page without a server has too (`trimip-cli export web`).
+//! Parts of the page that the serverless page of `trimip-cli export web` uses too.
 
-/// The look: light and dark.
+/// The style sheet, light and dark.
 pub const STYLE: &str = include_str!("../page/style.css");
 
-/// A camera that turns around a point.
+/// The module of a camera that orbits a point.
 pub const ORBIT: &str = include_str!("../page/orbit.js");
 
-/// Mouse, touch, wheel and keys, and the dialog that lists them.
+/// The module for mouse, touch, wheel and keys, with the dialog that lists the keys.
 pub const GESTURES: &str = include_str!("../page/gestures.js");

@@ -1,4 +1,4 @@
-//! A rendered frame as a picture, and a picture as JPEG.
+//! Turns a rendered frame into a picture, and a picture into JPEG.
 
 use crate::protocol::Show;
 use glam::DVec3;
@@ -11,37 +11,37 @@ use trimip_core::field::encoders::tri_mip::Pyramid;
 use trimip_core::scene::cones::Division;
 use trimip_core::{Aabb, Camera, Config, Error, Frame, Result, Space};
 
-/// Opacity below which a pixel has no surface.
+/// Opacity from which a pixel has a surface.
 const SURFACE: f32 = 0.5;
 
-/// Bytes of a picture at most, for each pixel; a picture of 400×400 pixels has 60,000. Below [`LEAST_BYTES`] it may have more.
+/// Most bytes of a JPEG per pixel: 60,000 for 400×400 pixels. Below [`LEAST_BYTES`] this limit does not apply.
 const BYTES_PER_PIXEL: f64 = 0.375;
 
-/// Pictures of fewer bytes are never made smaller.
+/// JPEGs of at most this many bytes are never compressed further.
 const LEAST_BYTES: usize = 8000;
 
 /// JPEG qualities, tried in order until a picture is small enough.
 const QUALITIES: [u8; 4] = [90, 80, 65, 50];
 
-/// A rendered view and what stands beside it.
+/// A rendered view and the data that its pictures need.
 pub struct RenderedView<'a> {
-    /// The view.
+    /// The rendered frame.
     pub frame: &'a Frame,
-    /// Its camera.
+    /// Camera of the frame.
     pub camera: &'a Camera,
     /// Settings of the model.
     pub config: &'a Config,
-    /// Samples of each pixel; empty if they were not asked for.
+    /// Samples per pixel; empty unless the picture shows them.
     pub samples: &'a [u32],
-    /// The photograph of the view, of the frame's size.
+    /// The photograph of this view, in the frame's size.
     pub photograph: Option<&'a RgbImage>,
 }
 
-/// A picture, and what the ends of its scale of colours mean.
+/// A picture, and the values at the ends of its colour scale.
 pub struct Shown {
     /// The picture.
     pub picture: RgbImage,
-    /// The values of the darkest and the brightest colour; `None` without such a scale.
+    /// The values of the darkest and the brightest colour; `None` if the picture has no such scale.
     pub range: Option<[f32; 2]>,
 }
 
@@ -52,7 +52,7 @@ impl From<RgbImage> for Shown {
 }
 
 impl RenderedView<'_> {
-    /// The picture of a view. A comparison without a photograph shows the colours, as do mip levels of an encoder without.
+    /// The picture of a view. Without a photograph a comparison shows plain colours, as do mip levels of an encoder that has none.
     pub fn picture(&self, show: Show) -> Shown {
         let Self { frame, camera, .. } = *self;
         let (width, height) = (frame.width, frame.height);
@@ -94,7 +94,7 @@ impl RenderedView<'_> {
         }
     }
 
-    /// Values from 0 to `most` in a scale of colours; black where a value is not a number.
+    /// Maps values from 0 to `most` to the colour scale; NaN is black.
     fn scaled(&self, values: &[f32], most: f32) -> Shown {
         let color =
             |value: &f32| if value.is_nan() { [0.0; 3] } else { scale(value / most.max(f32::MIN_POSITIVE)) };
@@ -102,8 +102,8 @@ impl RenderedView<'_> {
         Shown { picture: rgb_image(self.frame.width, self.frame.height, &rgb), range: Some([0.0, most]) }
     }
 
-    /// The mip level (Eq. 5) of the sphere at the surface of each pixel, and the coarsest one; NaN without surface. A pixel that
-    /// is divided into cones has the level of the first.
+    /// The mip level (Eq. 5) of the sphere at the surface of each pixel, NaN where there is no surface; and the coarsest level. A pixel
+    /// that is divided into several cones gets the level of its first cone.
     fn levels(&self) -> Option<(Vec<f32>, f32)> {
         let Self { frame, camera, config, .. } = *self;
         if config.encoder.kind != EncoderKind::TriMip {
@@ -132,7 +132,7 @@ impl RenderedView<'_> {
     }
 }
 
-/// Stops of the scale of colours, evenly spaced from 0 to 1: viridis by S. van der Walt and N. Smith, which grows evenly brighter.
+/// Stops of the colour scale, evenly spaced from 0 to 1: viridis by S. van der Walt and N. Smith, whose lightness grows evenly.
 const STOPS: [[f32; 3]; 6] = [
     [0.267, 0.005, 0.329],
     [0.254, 0.265, 0.530],
@@ -142,7 +142,7 @@ const STOPS: [[f32; 3]; 6] = [
     [0.993, 0.906, 0.144],
 ];
 
-/// The colour of a share of the scale.
+/// The colour at `fraction` of the scale.
 fn scale(fraction: f32) -> [f32; 3] {
     let at = fraction.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
     let lower = (at as usize).min(STOPS.len() - 2);
@@ -150,7 +150,7 @@ fn scale(fraction: f32) -> [f32; 3] {
     std::array::from_fn(|c| STOPS[lower][c] + part * (STOPS[lower + 1][c] - STOPS[lower][c]))
 }
 
-/// Directions of the surface from the points that neighbouring pixels see; grey where there is none.
+/// Surface normals, from the surface points that neighbouring pixels see; grey where there are none.
 fn normals(frame: &Frame, camera: &Camera) -> RgbImage {
     let (k, depths) = (camera.intrinsics, depth(frame, 0.0));
     let point = |x: u32, y: u32| {
@@ -166,7 +166,7 @@ fn normals(frame: &Frame, camera: &Camera) -> RgbImage {
         let down = point(x, (y + 1).min(frame.height - 1))? - point(x, y.saturating_sub(1))?;
         let ahead = DVec3::from(k.cone([f64::from(x) + 0.5, f64::from(y) + 0.5], 1.0).axis);
         let normal = (camera.rotation * down.cross(right)).try_normalize()?;
-        // It points to the camera.
+        // Normals point towards the camera.
         Some(if (camera.rotation * ahead).dot(normal) > 0.0 { -normal } else { normal })
     };
     RgbImage::from_fn(frame.width, frame.height, |x, y| {
@@ -175,10 +175,10 @@ fn normals(frame: &Frame, camera: &Camera) -> RgbImage {
     })
 }
 
-/// A picture as JPEG, of the best quality that keeps it small.
+/// Encodes a picture as JPEG, with the best quality that keeps it small.
 ///
 /// # Errors
-/// When it cannot be encoded.
+/// When the picture cannot be encoded.
 pub fn jpeg(picture: &RgbImage) -> Result<Vec<u8>> {
     let pixels = f64::from(picture.width()) * f64::from(picture.height());
     let most = ((pixels * BYTES_PER_PIXEL) as usize).max(LEAST_BYTES);

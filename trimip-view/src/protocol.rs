@@ -1,5 +1,5 @@
-//! The messages between page and server. A page sends a [`Request`] as JSON; the answer is one binary message: the length of
-//! a JSON header (u32, little-endian), the header (a [`Header`]), and a JPEG picture.
+//! The messages between page and server. A page sends a [`Request`] or a [`Command`] as JSON. A request is answered by binary messages: the
+//! length of a JSON header (u32, little-endian), the header (a [`Header`]), and a JPEG picture.
 
 use serde::{Deserialize, Serialize};
 use trimip::view::cameras::{posed, resized};
@@ -34,7 +34,7 @@ pub enum Show {
 }
 
 impl Show {
-    /// True if it needs a photograph.
+    /// True if the picture needs a photograph.
     pub fn compares(self) -> bool {
         matches!(self, Self::Difference | Self::Flip)
     }
@@ -60,13 +60,13 @@ pub enum Split {
     Train,
 }
 
-/// A photograph by its place in its set.
+/// A photograph, by its index in a set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Photo {
-    /// Its set.
+    /// Set of the photograph.
     pub split: Split,
-    /// Its index.
+    /// Index in the set.
     pub index: usize,
 }
 
@@ -74,7 +74,7 @@ pub struct Photo {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// Number that the answer repeats.
+    /// Number of the request, which the answer repeats.
     pub id: u64,
     /// Camera-to-world matrix [R|t], 12 numbers row by row, OpenGL axes.
     pub pose: Vec<f64>,
@@ -84,41 +84,41 @@ pub struct Request {
     pub width: u32,
     /// As `width`.
     pub height: u32,
-    /// What it shows.
+    /// What the picture shows.
     pub show: Show,
-    /// How it is rendered.
+    /// How the picture is rendered.
     pub renderer: Renderer,
-    /// True while the camera moves: one coarse picture. False: finer ones until all pixels are rendered.
+    /// True while the camera moves: the answer is one coarse picture. False: finer pictures follow, up to full resolution.
     pub moving: bool,
-    /// The photograph whose camera takes the place of `pose`, `fov` and the ratio of the sides.
+    /// A photograph, whose camera and aspect ratio replace `pose`, `fov` and the ratio of `width` to `height`.
     #[serde(default)]
     pub photo: Option<Photo>,
-    /// The part of the box that is shown: its two corners, world units.
+    /// The shown part of the box: its lower and upper corner, world units.
     #[serde(default)]
     pub clip: Option<[[f64; 3]; 2]>,
-    /// True to show the crop of the model alone (`scene.crop`).
+    /// True to show only the model's crop (`scene.crop`).
     #[serde(default)]
     pub cropped: bool,
 }
 
-/// What a page does to the run that it watches.
+/// A command of a page to the run that it watches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Command {
-    /// No step is done until [`Command::Resume`].
+    /// Pauses training until [`Command::Resume`].
     Pause,
-    /// Steps are done again.
+    /// Continues training.
     Resume,
-    /// The run ends after the step and saves, as by Ctrl-C.
+    /// Ends the run after the current step and saves, like Ctrl-C.
     Stop,
 }
 
 /// A message of a page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
-    /// It asks for a view.
+    /// A request for a view.
     View(Request),
-    /// It steers the run.
+    /// A command to the run.
     Command(Command),
 }
 
@@ -126,7 +126,7 @@ impl Message {
     /// Reads a message.
     ///
     /// # Errors
-    /// When it is neither, or a number is out of range; the text is shown on the page.
+    /// When the text is neither a command nor a request, or a number is out of range. The page shows the error's text.
     pub fn read(text: &str) -> Result<Self> {
         /// `{"command": "pause"}`.
         #[derive(Deserialize)]
@@ -142,10 +142,10 @@ impl Message {
 }
 
 impl Request {
-    /// Reads a message.
+    /// Reads a request.
     ///
     /// # Errors
-    /// When it is no request, or a number is out of range; the text is shown on the page.
+    /// When the text is no request, or a number is out of range. The page shows the error's text.
     pub fn read(text: &str) -> Result<Self> {
         let refuse = |what: String| Err(Error::input("message", what, "expected a view to render"));
         let request: Self = match serde_json::from_str(text) {
@@ -171,14 +171,14 @@ impl Request {
         Ok(request)
     }
 
-    /// The parts of the world whose common part is shown; `crop` is the model's.
+    /// The parts of the world whose intersection is shown. `crop` is the model's crop.
     pub fn kept(&self, crop: Crop) -> Vec<Crop> {
         let part = self.clip.map(|[min, max]| Crop::Box { min, max });
         let crop = Some(crop).filter(|crop| self.cropped && *crop != Crop::None);
         part.into_iter().chain(crop).collect()
     }
 
-    /// The camera of the finest picture. `photographed` is that of the photograph, if there is one.
+    /// The camera of the finest picture. `photographed` is the camera of the chosen photograph, if there is one.
     ///
     /// # Errors
     /// When the pose is not rigid.
@@ -192,7 +192,7 @@ impl Request {
     }
 }
 
-/// What stands before a picture.
+/// The header of a picture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Header {
     /// Number of the request.
@@ -201,16 +201,16 @@ pub struct Header {
     pub width: u32,
     /// As `width`.
     pub height: u32,
-    /// Milliseconds of rendering.
+    /// Rendering time, milliseconds.
     pub rendered: f64,
-    /// Milliseconds from the arrival of the request to the picture.
+    /// Time from the arrival of the request to the finished picture, milliseconds.
     pub waited: f64,
     /// True if no finer picture follows.
     pub done: bool,
-    /// Mean number of samples of a pixel, where they were counted.
+    /// Mean number of samples per pixel, if they were counted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<f64>,
-    /// What the darkest and the brightest colour of the picture mean, where it shows a quantity by a scale of colours.
+    /// The values of the darkest and the brightest colour, if the picture shows a quantity by a colour scale.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<[f32; 2]>,
 }

@@ -1,7 +1,6 @@
-//! The render thread. Each page has one request, its newest, and pages are served in turn. A coarse picture of one page goes
-//! before a full-resolution picture of another, and a full-resolution render is cancelled and restarted later if another page
-//! waits for its first picture. While a model is in training, the thread loads each newer state of it between two pictures, and
-//! every page gets its view of that state.
+//! The render thread. Each page has one request, its newest, and pages are served in turn. A coarse picture of one page goes before a
+//! full-resolution picture of another, and a full-resolution render is cancelled and restarted later if another page waits for its first
+//! picture. During training, the thread loads each new state of the model between two pictures and then renders every page's view again.
 
 use crate::picture::{RenderedView, jpeg};
 use crate::protocol::{Header, Renderer, Request, Show, message};
@@ -15,8 +14,7 @@ use trimip::view::cameras::resized;
 use trimip_core::field::model::Model;
 use trimip_core::{Camera, Crop, Error, Result};
 
-/// Time of a coarse picture. Hybrid rendering has four times the pixels in the same time, and shares them between finer and
-/// more pictures.
+/// Time limit of a coarse picture. Hybrid rendering is four times as fast: half of the gain goes into more pictures, half into finer ones.
 fn coarse_time(renderer: Renderer) -> Duration {
     match renderer {
         Renderer::Volume => Duration::from_millis(70),
@@ -24,33 +22,33 @@ fn coarse_time(renderer: Renderer) -> Duration {
     }
 }
 
-/// A first picture of a view that stands still may take this long; otherwise a coarse one comes before it.
+/// Time limit for rendering a still view at full resolution at once; if it would take longer, a coarse picture comes first.
 const PATIENCE: Duration = Duration::from_millis(140);
 
-/// Pixels per second that are assumed before the first picture.
+/// Rendering speed that is assumed before the first picture, pixels per second.
 const ASSUMED_SPEED: f64 = 400_000.0;
 
-/// Weight of the newest picture in the mean speed.
+/// Weight of the newest picture in the moving average of the speed.
 const NEWEST: f64 = 0.4;
 
 /// Fewest pixels along the longer side of a coarse picture.
 const LEAST_SIDE: f64 = 48.0;
 
-/// An answer: a binary message, or the text of an error.
+/// An answer to a request: a binary message, or the text of an error.
 #[derive(Clone, Debug)]
 pub enum Answer {
     /// Header and picture.
     Picture(Arc<Vec<u8>>),
-    /// What went wrong.
+    /// Text of an error.
     Failed(String),
 }
 
-/// A page that watches.
+/// A connected page.
 struct Client {
     request: Option<(Request, Instant)>,
     /// The newest request, served or not.
     last: Option<Request>,
-    /// True if the request has had its coarse picture.
+    /// True if the coarse picture of the request has been rendered.
     begun: bool,
     answers: watch::Sender<Option<Answer>>,
 }
@@ -61,17 +59,17 @@ struct Queue {
     next: u64,
     /// The page that was served last.
     last: u64,
-    /// A newer state of the model, to be loaded.
+    /// A newer state of the model that is not loaded yet.
     model: Option<Model>,
-    /// True while one is being loaded.
+    /// True while a state of the model is being loaded.
     loading: bool,
-    /// How long the last one took.
+    /// Time that the last state of the model took to load.
     load_time: Duration,
     closed: bool,
 }
 
 impl Queue {
-    /// The page to serve next, in turn: those without any picture of their view first.
+    /// The page to serve next. Pages without any picture of their current view come first; among equals, they take turns.
     fn select(&self) -> Option<u64> {
         let waiting = |begun: bool| {
             let own = move |(_, client): &(&u64, &Client)| client.request.is_some() && client.begun == begun;
@@ -81,7 +79,8 @@ impl Queue {
         waiting(false).or_else(|| waiting(true))
     }
 
-    /// True if a fine picture of page `id` should be given up.
+    /// True if the full-resolution render of page `id` must be cancelled: the thread closes, the page has left, or a page waits for its
+    /// first picture.
     fn interrupts(&self, id: u64) -> bool {
         let asks = |client: &Client| client.request.is_some() && !client.begun;
         self.closed || !self.clients.contains_key(&id) || self.clients.values().any(asks)
@@ -100,7 +99,7 @@ impl Shared {
     }
 }
 
-/// The render thread and the queue where pages leave their requests.
+/// The render thread and its queue of requests.
 pub struct RenderThread {
     shared: Arc<Shared>,
     thread: Mutex<Option<JoinHandle<()>>>,
@@ -124,7 +123,7 @@ impl RenderThread {
         Ok(Self { shared, thread: Mutex::new(Some(thread)) })
     }
 
-    /// A page enters. It gets a number, and the newest answer to its requests.
+    /// Adds a page. Returns its number and the channel of its newest answer.
     pub fn enter(&self) -> (u64, watch::Receiver<Option<Answer>>) {
         let mut queue = self.shared.queue();
         queue.next += 1;
@@ -134,12 +133,12 @@ impl RenderThread {
         (id, receiver)
     }
 
-    /// Number of pages that watch.
+    /// Number of connected pages.
     pub fn watchers(&self) -> usize {
         self.shared.queue().clients.len()
     }
 
-    /// A page asks for a view; its earlier request is forgotten.
+    /// Requests a view for a page, in place of its earlier request.
     pub fn ask(&self, id: u64, request: Request) {
         if let Some(client) = self.shared.queue().clients.get_mut(&id) {
             client.last = Some(request.clone());
@@ -149,7 +148,7 @@ impl RenderThread {
         self.shared.changed.notify_all();
     }
 
-    /// Shows a newer state of the model from now on; an earlier one that was not loaded yet is dropped.
+    /// Shows a newer state of the model. A state that is still waiting to be loaded is dropped.
     pub fn show(&self, model: Model) {
         self.shared.queue().model = Some(model);
         self.shared.changed.notify_all();
@@ -161,36 +160,36 @@ impl RenderThread {
         (queue.model.is_none() && !queue.loading).then_some(queue.load_time)
     }
 
-    /// A page leaves.
+    /// Removes a page.
     pub fn leave(&self, id: u64) {
         self.shared.queue().clients.remove(&id);
     }
 
-    /// Ends the thread; a picture in progress is given up.
+    /// Ends the thread and cancels the picture in progress.
     pub fn close(&self) {
         self.shared.queue().closed = true;
         self.shared.changed.notify_all();
         let thread = self.thread.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take();
-        // A thread that panicked has printed why.
+        // The panic handler has already printed the reason if the thread panicked.
         let _ = thread.map(JoinHandle::join);
     }
 }
 
-/// What the render thread knows.
+/// State of the render thread.
 struct Worker {
     scene: Arc<Scene>,
-    /// Pixels per second, by renderer.
+    /// Rendering speed in pixels per second, by renderer.
     speed: BTreeMap<Renderer, f64>,
-    /// The parts of the world to which each renderer is confined.
+    /// The crops that are set in each renderer.
     clips: BTreeMap<Renderer, Vec<Crop>>,
     shared: Arc<Shared>,
 }
 
-/// What the render thread does next.
+/// The next task of the render thread.
 enum Task {
     /// Loads a newer state of the model.
     Load(Box<Model>),
-    /// Serves page `id`; the time of its request, and true if it has a coarse picture.
+    /// Serves page `id`: its request, the time of the request, and true if the coarse picture has been rendered.
     Serve(u64, Request, Instant, bool),
 }
 
@@ -209,7 +208,7 @@ impl Worker {
             let Some(client) = queue.clients.get_mut(&id) else { continue };
             let current = client.request.as_ref().is_some_and(|(own, _)| *own == request);
             match outcome {
-                // A newer request stays.
+                // The render was cancelled; the page's newer request stays in the queue.
                 Ok(None) => {}
                 Ok(Some((bytes, done))) => {
                     if current {
@@ -226,7 +225,7 @@ impl Worker {
         }
     }
 
-    /// Waits for a request; `None` when the thread closes.
+    /// Waits for a task; `None` when the thread closes.
     fn next(&self) -> Option<Task> {
         let mut queue = self.shared.queue();
         loop {
@@ -247,7 +246,7 @@ impl Worker {
         }
     }
 
-    /// Loads a state of the model; every page asks again for what it saw last.
+    /// Loads a state of the model and repeats the last request of every page.
     fn load(&mut self, renderers: &mut Renderers, model: &Model) {
         let started = Instant::now();
         let loaded = Renderers::open(model);
@@ -259,7 +258,7 @@ impl Worker {
                 self.clips.clear();
                 for client in queue.clients.values_mut().filter(|client| client.request.is_none()) {
                     client.request = client.last.clone().map(|request| (request, Instant::now()));
-                    // The last picture stays until the finer one is there.
+                    // Marked as begun: the last picture stays until the full-resolution one is ready, without a coarse one in between.
                     client.begun = client.request.is_some();
                 }
             }
@@ -269,7 +268,7 @@ impl Worker {
         }
     }
 
-    /// The next picture of a request, and whether it is the last; `None` if it was given up.
+    /// Renders the next picture of a request. Returns the message and whether it is the last one; `None` if the render was cancelled.
     fn serve(
         &mut self,
         renderers: &mut Renderers,
@@ -322,7 +321,7 @@ impl Worker {
             photograph: photograph.as_ref(),
         };
         let shown = view.picture(request.show);
-        // All that a picture of this kind takes.
+        // Includes everything that a picture of this kind takes, not only rendering.
         let spent = started.elapsed().as_secs_f64();
         let measured = f64::from(frame.width) * f64::from(frame.height) / spent.max(1e-6);
         self.speed.insert(renderer, speed + NEWEST * (measured - speed));
@@ -342,7 +341,7 @@ impl Worker {
     }
 }
 
-/// The factor of the sides of a picture with about `pixels` pixels.
+/// The factor by which the sides are reduced so that a picture has about `pixels` pixels.
 fn coarse(finest: &Camera, pixels: f64) -> f64 {
     let (width, height) = (f64::from(finest.intrinsics.width), f64::from(finest.intrinsics.height));
     let least = LEAST_SIDE / width.max(height);

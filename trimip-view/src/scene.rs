@@ -1,4 +1,4 @@
-//! What is shown: the renderers of a model, its box, and the photographs beside it.
+//! What the viewer shows: the renderers of a model, its box, and its photographs.
 
 use crate::protocol::{Photo, Renderer, Split};
 use image::RgbImage;
@@ -14,22 +14,22 @@ use trimip_core::field::model::{Model, assets};
 use trimip_core::scene::origin::LocalOrigin;
 use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, engine::proxy::Proxy};
 
-/// Photographs that are kept decoded.
+/// Most photographs that are kept decoded.
 const KEPT: usize = 4;
 
-/// A model to look at.
+/// A model and its photographs.
 pub struct Scene {
     /// Name of the model, for the title.
     pub name: String,
     /// Its configuration.
     pub config: Config,
-    /// True if pages show its crop alone (`scene.crop`) when they open.
+    /// True if pages initially show only the model's crop (`scene.crop`).
     pub cropped: bool,
-    /// What it was trained and tested on, if that is there.
+    /// Training and test photographs, if they are found.
     pub photographs: Photographs,
-    /// What the user should know, a line each.
+    /// Remarks for the user, a line each.
     pub notes: Vec<String>,
-    /// Where the report of its run is, or may be later.
+    /// Path of the run's report, which may not exist yet.
     pub report: Option<PathBuf>,
 }
 
@@ -37,7 +37,7 @@ impl Scene {
     /// Opens the model of a run folder or a model file, and its photographs. `assignments` change its settings.
     ///
     /// # Errors
-    /// When there is no model, or a setting is wrong, or the backend cannot load it. Missing photographs are a note.
+    /// When there is no model, a setting is wrong, or the backend cannot load the model. Missing photographs only give a note.
     pub fn open(path: &Path, assignments: &[String]) -> Result<(Self, Renderers)> {
         let mut model = trimip::read_model(path)?;
         settings::override_model(&mut model, assignments)?;
@@ -48,10 +48,10 @@ impl Scene {
         Ok((scene, renderers))
     }
 
-    /// A model by this name, and its photographs.
+    /// A scene with this name and model, and its photographs.
     ///
     /// # Errors
-    /// When the backend cannot load it. Missing photographs are a note.
+    /// When the backend cannot load the model. Missing photographs only give a note.
     pub fn of(name: String, model: Model) -> Result<(Self, Renderers)> {
         let renderers = Renderers::open(&model)?;
         let (photographs, mut notes) = match Photographs::open(&model.config) {
@@ -62,7 +62,7 @@ impl Scene {
         Ok((Self { name, config: model.config, cropped: false, photographs, notes, report: None }, renderers))
     }
 
-    /// What a page is told when it opens.
+    /// The description that a page receives when it opens.
     pub fn describe(&self, renderers: &[Renderer], device: &str) -> Value {
         let scene = &self.config.scene;
         json!({
@@ -86,16 +86,16 @@ impl Scene {
     }
 }
 
-/// The ways in which a model is rendered.
+/// The renderers of a model.
 pub struct Renderers {
     all: BTreeMap<Renderer, Box<dyn Viewer>>,
 }
 
 impl Renderers {
-    /// Loads a model once for each way that it allows. Hybrid rendering needs a proxy (`trimip-cli bake`).
+    /// Loads the model once per renderer. Hybrid rendering needs a proxy (`trimip-cli bake`).
     ///
     /// # Errors
-    /// When the backend cannot load it.
+    /// When the backend cannot load the model.
     pub fn open(model: &Model) -> Result<Self> {
         let load = |kind: &str| {
             let mut model = model.clone();
@@ -109,7 +109,7 @@ impl Renderers {
         Ok(Self { all })
     }
 
-    /// Their names.
+    /// The renderers that are loaded.
     pub fn names(&self) -> Vec<Renderer> {
         self.all.keys().copied().collect()
     }
@@ -119,12 +119,12 @@ impl Renderers {
         self.all.values().next().map_or_else(String::new, |viewer| viewer.device_name())
     }
 
-    /// This one, or volume rendering if it is not there.
+    /// The renderer itself if it is loaded, otherwise volume rendering.
     pub fn known(&self, renderer: Renderer) -> Renderer {
         if self.all.contains_key(&renderer) { renderer } else { Renderer::Volume }
     }
 
-    /// One of them.
+    /// A loaded renderer.
     pub fn get(&mut self, renderer: Renderer) -> Option<&mut Box<dyn Viewer>> {
         self.all.get_mut(&renderer)
     }
@@ -134,7 +134,7 @@ impl Renderers {
     }
 }
 
-/// Photographs with their cameras, decoded when they are asked for.
+/// Photographs with their cameras, decoded on demand.
 pub struct Photographs {
     sets: BTreeMap<Split, Set>,
     background: [f32; 3],
@@ -157,7 +157,7 @@ impl Photographs {
     fn open(config: &Config) -> Result<Self> {
         let test = trimip_data::open_test(&config.section()?)?;
         let finest = |frames: &dyn Frames| {
-            // Cameras stand frame by frame, and within one from fine to coarse.
+            // Cameras are ordered by frame, and within a frame from fine to coarse.
             let all = frames.cameras();
             let each = all.len() / frames.len().max(1);
             all.into_iter().step_by(each.max(1)).collect::<Vec<_>>()
@@ -203,7 +203,7 @@ impl Photographs {
         })
     }
 
-    /// A photograph on the background, resampled to this size.
+    /// A photograph composited over the background and resampled to `width` by `height` pixels.
     ///
     /// # Errors
     /// When there is no such photograph, or it cannot be decoded.

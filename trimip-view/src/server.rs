@@ -25,13 +25,13 @@ use tokio::sync::{Semaphore, watch};
 use tokio::time::{interval, timeout};
 use trimip_core::{Error, Result};
 
-/// Pages that may watch at a time.
+/// Most simultaneous pages.
 const MOST_PAGES: usize = 64;
 
-/// How often a page is asked whether it is there.
+/// Interval of the pings that check whether a page is still there.
 const PULSE: Duration = Duration::from_secs(20);
 
-/// A page that does not take a message within this time is gone.
+/// A page that accepts no message for this long counts as gone.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// The files of the page: name, type, text.
@@ -46,12 +46,12 @@ const FILES: [(&str, &str, &str); 8] = [
     ("frusta.js", "text/javascript; charset=utf-8", include_str!("../page/frusta.js")),
 ];
 
-/// Nothing comes from elsewhere.
+/// Content security policy of the page: nothing is loaded from other origins.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// A report has its style and script in its one file. It may be a stranger's: the page has an origin of its own, from which
-/// nothing here can be reached.
+/// Content security policy of reports. A report holds its style and script inline and may come from a stranger, so it is sandboxed: its
+/// origin is its own, and from there nothing of this server can be reached.
 const REPORT_POLICY: &str = "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; \
                              style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; \
                              frame-ancestors 'none'";
@@ -62,22 +62,22 @@ struct ServerState {
     about: String,
     scene: Arc<Scene>,
     render_thread: RenderThread,
-    /// Places for pages.
+    /// Permits for connected pages.
     places: Arc<Semaphore>,
-    /// The state of the run that is watched, as JSON; empty without a run.
+    /// Status of the watched run, as JSON; empty without a run.
     status: watch::Sender<Arc<str>>,
-    /// Takes what a page does to the run; `None` without a run.
+    /// Receives the commands of pages to the run; `None` without a run.
     control: Option<Control>,
 }
 
-/// What takes the commands of pages.
+/// Callback for the commands of pages.
 pub type Control = Box<dyn Fn(Command) + Send + Sync>;
 
 /// A bound address with its token. Connections wait until the [`Server`] starts.
 pub struct Listener {
     listener: std::net::TcpListener,
     token: String,
-    /// The address to open, with its token.
+    /// The address to open; it contains the token.
     pub address: String,
 }
 
@@ -100,9 +100,9 @@ impl Listener {
     }
 }
 
-/// A server that runs.
+/// A running server.
 pub struct Server {
-    /// The address to open, with its token.
+    /// The address to open; it contains the token.
     pub address: String,
     state: Arc<ServerState>,
     stop: watch::Sender<bool>,
@@ -110,7 +110,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts serving. With `control`, pages watch a run.
+    /// Starts serving. With `control`, pages watch a training run and control it.
     ///
     /// # Errors
     /// When no thread can be started.
@@ -179,7 +179,7 @@ impl Server {
         &self.state.render_thread
     }
 
-    /// Tells every page, also those that come later, the state of the run: JSON.
+    /// Sends the status of the run, as JSON, to every page, including those that connect later.
     pub fn tell(&self, status: &str) {
         self.state.status.send_replace(Arc::from(status));
     }
@@ -189,7 +189,7 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.stop.send_replace(true);
         self.state.render_thread.close();
-        // A thread that panicked has printed why.
+        // The panic handler has already printed the reason if the thread panicked.
         let _ = self.thread.take().map(JoinHandle::join);
     }
 }
@@ -202,8 +202,8 @@ fn token() -> Result<String> {
 }
 
 impl ServerState {
-    /// Fails unless the token is right and the request comes from the page itself: a browser names the page's origin, and
-    /// the host under which it found this server must be an address, not a name that somebody may point here.
+    /// Fails unless the token is right and the request comes from the page itself. If the browser sends an `Origin`, it must be this
+    /// server's. The `Host` must be `localhost` or an IP address: a DNS name could be pointed here by an attacker.
     fn admit(&self, token: &str, headers: &HeaderMap) -> std::result::Result<(), StatusCode> {
         let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
@@ -216,21 +216,21 @@ impl ServerState {
     }
 }
 
-/// Answers 403 to everything that [`ServerState::admit`] refuses, before anything else is read.
+/// Answers 403 to every request that [`ServerState::admit`] refuses, before the rest of the request is read.
 async fn admitted(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Answered {
     let token = request.uri().path().split('/').nth(1).unwrap_or_default();
     state.admit(token, request.headers())?;
     Ok(next.run(request).await)
 }
 
-/// What a handler answers.
+/// Result of a handler.
 type Answered = std::result::Result<Response, StatusCode>;
 
 fn text(kind: &'static str, body: String) -> Response {
     bounded(kind, POLICY, body)
 }
 
-/// A text that may do what `policy` allows.
+/// A text response with the content security policy `policy`.
 fn bounded(kind: &'static str, policy: &'static str, body: String) -> Response {
     let headers = [
         (header::CONTENT_TYPE, kind),
@@ -255,7 +255,7 @@ async fn about_scene(State(state): State<Arc<ServerState>>) -> Answered {
     Ok(text("application/json", state.about.clone()))
 }
 
-/// The report of the model's run, as it is now.
+/// The report of the model's run, in its current state.
 async fn report(State(state): State<Arc<ServerState>>) -> Answered {
     let path = state.scene.report.clone().ok_or(StatusCode::NOT_FOUND)?;
     let read = tokio::task::spawn_blocking(move || std::fs::read_to_string(path));
@@ -264,7 +264,7 @@ async fn report(State(state): State<Arc<ServerState>>) -> Answered {
     Ok(bounded("text/html; charset=utf-8", REPORT_POLICY, page))
 }
 
-/// Size of a photograph.
+/// Requested size of a photograph, pixels.
 #[derive(Deserialize)]
 struct Size {
     width: u32,
@@ -298,7 +298,7 @@ async fn socket(State(state): State<Arc<ServerState>>, upgrade: WebSocketUpgrade
     }))
 }
 
-/// Takes the requests of a page and sends it the newest answer, until it leaves.
+/// Serves the socket of a page: reads its messages and sends it the newest answer and status, until the page leaves.
 async fn attend(state: Arc<ServerState>, mut socket: WebSocket) {
     let (id, mut answers) = state.render_thread.enter();
     let mut status = state.status.subscribe();
@@ -349,7 +349,7 @@ async fn attend(state: Arc<ServerState>, mut socket: WebSocket) {
     state.render_thread.leave(id);
 }
 
-/// Sends a message; false if the page is gone, or takes nothing for long.
+/// Sends a message. False if the page is gone or accepts nothing within [`PATIENCE`].
 async fn send(socket: &mut WebSocket, message: Message) -> bool {
     timeout(PATIENCE, socket.send(message)).await.is_ok_and(|sent| sent.is_ok())
 }

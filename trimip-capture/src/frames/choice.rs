@@ -1,42 +1,43 @@
-//! Which frames of a film are taken: the sharpest of each interval of motion.
+//! Chooses frames of a film: the sharpest of each interval of motion.
 
 use super::measure::Measured;
 use trimip::formatting::{count, duration};
 
-/// Frames a second without another wish, and the fewest and most.
+/// Frames per second if the user gives no number, and the fewest and most frames.
 const RATE: f64 = 2.0;
 const FEWEST: f64 = 50.0;
 const MOST: f64 = 300.0;
 
-/// Least motion between two frames that differ, in longest sides of the picture.
+/// Least motion between two frames that count as different, in longest sides of the picture.
 const LEAST_STEP: f64 = 0.01;
 
-/// How much a frame at the end of its interval counts less than one in the middle: neighbours shall not lie side by side.
+/// Share of its sharpness that a frame at the end of its interval loses against one in the middle, so that chosen frames do not lie next to
+/// each other.
 const AT_THE_END: f64 = 0.3;
 
-/// Most intervals for each frame that is wanted.
+/// Most intervals per wanted frame.
 const NARROWEST: usize = 32;
 
-/// Share of a film's frames from which on frames without motion between them are taken too.
+/// Share of the film's frames above which frames without motion between them are taken too.
 const NEARLY_ALL: f64 = 0.8;
 
-/// Change of exposure between neighbours that is told, stops; and how many changes are named.
+/// Change of exposure between neighbours that is reported, stops; and the most changes that are listed.
 const JUMP: f64 = 0.5;
 const NAMED: usize = 3;
 
-/// Exponent from grey levels to light.
+/// Exponent from grey levels to linear light.
 const GAMMA: f64 = 2.2;
 
 /// The frames that are taken.
 #[derive(Debug, PartialEq)]
 pub struct Chosen {
-    /// Their numbers, rising.
+    /// Frame numbers, increasing.
     pub frames: Vec<usize>,
-    /// Why these, a line each.
+    /// Reasons for the choice, as lines for the user.
     pub notes: Vec<String>,
 }
 
-/// Chooses frames; `wanted` is the number that the user wants.
+/// Chooses frames; `wanted` is the number that the user asked for.
 pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     let last = measured.last().map_or(0.0, |frame| frame.seconds);
     let motion = measured.last().map_or(0.0, |frame| frame.motion);
@@ -61,8 +62,8 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     Chosen { frames, notes }
 }
 
-/// `count` frames, spread over the motion. Where a film moves unevenly, some intervals hold no frame: then narrower ones are tried,
-/// and the frames that add the least motion are left out. Of frames without motion between them only one is taken, unless nearly all
+/// Chooses `count` frames, spread over the motion. Where a film moves unevenly, some intervals hold no frame: then narrower intervals are
+/// tried, and the frames that add the least motion are dropped. Of frames without motion between them only one is taken, unless nearly all
 /// frames are wanted.
 fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
     let mut frames: Vec<usize> = (0..measured.len()).collect();
@@ -75,7 +76,7 @@ fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
         }
     }
     while frames.len() > count.max(2) {
-        // The motion between its neighbours, then its sharpness.
+        // The motion between the neighbours of the frame, then its own sharpness.
         let worth = |place: usize| {
             let motion = measured[frames[place + 1]].motion - measured[frames[place - 1]].motion;
             (motion, measured[frames[place]].sharpness)
@@ -90,8 +91,8 @@ fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
     frames
 }
 
-/// The sharpest frame of each of `count` intervals: of equal motion, or of equal time where there is none. Intervals without a frame
-/// have none.
+/// The sharpest frame of each of `count` intervals. The intervals have equal motion, or equal time if the film has no motion; empty
+/// intervals give no frame.
 fn sharpest(measured: &[Measured], count: usize) -> Vec<usize> {
     let motion = measured.last().map_or(0.0, |frame| frame.motion);
     let place = |index: usize| match motion > 0.0 {
@@ -112,10 +113,10 @@ fn sharpest(measured: &[Measured], count: usize) -> Vec<usize> {
     best.into_iter().flatten().map(|(_, index)| index).collect()
 }
 
-/// Tells of the part of the film in which nothing moves.
+/// Reports how long nothing moves in the film.
 fn still(measured: &[Measured], last: f64) -> Option<String> {
     let still = |pair: &[Measured]| pair[1].motion <= pair[0].motion;
-    // Motion is measured at some frames alone: a pause is longer than a second.
+    // Motion is measured at only some frames, so only stretches longer than a second count as pauses.
     let (mut seconds, mut began) = (0.0, None);
     for pair in measured.windows(2) {
         match (still(pair), began) {
@@ -138,7 +139,7 @@ fn still(measured: &[Measured], last: f64) -> Option<String> {
     })
 }
 
-/// Tells of frames whose exposure differs from that of the frame before.
+/// Reports chosen frames whose exposure differs from that of the previous chosen frame.
 fn jumps(measured: &[Measured], frames: &[usize]) -> Option<String> {
     let stops = |from: usize, to: usize| {
         GAMMA * ((measured[to].brightness + 1.0) / (measured[from].brightness + 1.0)).log2()
@@ -176,7 +177,7 @@ mod tests {
 
     #[test]
     fn the_sharpest_of_each_interval_is_taken() {
-        // A minute; every seventh frame is sharp.
+        // One minute, in which every seventh frame is sharp.
         let film: Vec<_> =
             (0..600).map(|i| frame(i, 0.01 * i as f64, if i % 7 == 3 { 100.0 } else { 10.0 })).collect();
         let chosen = choose(&film, Some(60));
@@ -189,7 +190,7 @@ mod tests {
 
     #[test]
     fn uneven_motion_takes_no_frames_away() {
-        // Fifty photographs in a row: some steps are ten times as long as others, and after every fifth there is none.
+        // Fifty photographs in a row: some steps are ten times as long as others, and every fifth step has no motion.
         let mut motion = 0.0;
         let film: Vec<_> = (0..50)
             .map(|i| {
@@ -207,7 +208,7 @@ mod tests {
 
     #[test]
     fn frames_follow_motion_and_not_time() {
-        // It stands still for half of the film.
+        // The camera stands still for half of the film.
         let film: Vec<_> = (0..600).map(|i| frame(i, 0.02 * i.saturating_sub(300) as f64, 50.0)).collect();
         let chosen = choose(&film, None);
         let early = chosen.frames.iter().filter(|&&index| index < 300).count();

@@ -1,4 +1,4 @@
-//! What a film is, as ffprobe tells: its size as shown, its frames, how it states brightness.
+//! Properties of a film as ffprobe reports them: its displayed size, its frames, its encoding of brightness.
 
 use serde::Deserialize;
 use std::path::Path;
@@ -7,35 +7,35 @@ use trimip::{
     formatting::{count, duration},
 };
 
-/// Longest side at which frames are measured, pixels. At half the size of a phone's film, a blur of two pixels still shows.
+/// Longest side at which frames are measured, pixels. This is half the size of a phone's film, where a blur of two pixels still shows.
 const MEASURED: u32 = 960;
 
-/// Difference of the mean and the nominal rate of frames above which the rate is called variable.
+/// Relative difference of the mean and the nominal frame rate above which the rate is called variable.
 const VARIABLE: f64 = 0.01;
 
-/// How a film of high dynamic range states brightness.
+/// Dynamic range of a film, by its transfer function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Range {
-    /// Up to the white of an ordinary screen.
+    /// Standard dynamic range.
     Standard,
-    /// Hybrid log-gamma, as phones film.
+    /// Hybrid log-gamma (HLG), which phones record.
     Hlg,
-    /// The perceptual quantiser of HDR10 and Dolby Vision.
+    /// Perceptual quantiser (PQ) of HDR10 and Dolby Vision.
     Pq,
 }
 
 /// A film.
 #[derive(Debug, PartialEq)]
 pub struct Film {
-    /// Width and height as shown, pixels.
+    /// Displayed width and height, pixels.
     size: [u32; 2],
-    /// Angle by which it is turned when it is shown, degrees.
+    /// Rotation that a player applies, degrees.
     turned: i32,
-    /// Length, seconds; 0 if the file does not state it.
+    /// Duration, seconds; 0 if the file does not state it.
     seconds: f64,
-    /// Mean number of frames a second.
+    /// Mean frame rate, per second.
     pub rate: f64,
-    /// Number of frames, stated or estimated; 0 if it is not known.
+    /// Number of frames, stated or estimated; 0 if unknown.
     pub frames: u64,
     is_variable: bool,
     is_interlaced: bool,
@@ -89,7 +89,7 @@ impl Film {
     /// Asks ffprobe about a film.
     ///
     /// # Errors
-    /// Of kind `Input`, when it cannot read it.
+    /// Of kind `Input`, when ffprobe cannot read the film.
     pub fn probe(ffprobe: &Path, film: &Path) -> Result<Self> {
         let wrong = |what: String| {
             Error::input(film.display(), what, "does a player show it? convert it to MP4, or copy it again")
@@ -144,7 +144,7 @@ impl Film {
         })
     }
 
-    /// The film in words. `maps_tones` says whether this ffmpeg can map the brightness of HDR.
+    /// Describes the film in words. `maps_tones` says whether this ffmpeg can tone-map HDR.
     pub fn lines(&self, maps_tones: bool) -> Vec<String> {
         let [width, height] = self.size;
         let length = match self.seconds {
@@ -184,24 +184,24 @@ impl Film {
         vec![line]
     }
 
-    /// Size at which frames are measured, even numbers of pixels.
+    /// Size at which frames are measured: even numbers of pixels.
     pub fn measured_size(&self) -> [u32; 2] {
         let longest = self.size[0].max(self.size[1]);
         let scale = f64::from(MEASURED.min(longest)) / f64::from(longest);
         self.size.map(|side| ((f64::from(side) * scale / 2.0).round() as u32 * 2).max(16))
     }
 
-    /// The filter that joins half-frames, with a comma.
+    /// The filter that deinterlaces, with a trailing comma; empty for progressive films.
     pub fn deinterlace(&self) -> &'static str {
         if self.is_interlaced { "yadif," } else { "" }
     }
 
-    /// The filters that map HDR to the range of photographs, behind a comma.
+    /// The filters that tone-map HDR to the range of photographs, with a leading comma; empty if there is nothing to map.
     pub fn tones(&self, maps_tones: bool) -> &'static str {
         match self.range {
             Range::Standard => "",
             _ if !maps_tones => "",
-            // The white of paper is 100 to 203 cd/m² in both; Hable's curve keeps the middle and bends highlights.
+            // Paper white is 100 to 203 cd/m² in both HLG and PQ; Hable's curve keeps the mid-tones and compresses highlights.
             _ => {
                 ",zscale=t=linear:npl=203,format=gbrpf32le,zscale=p=bt709,tonemap=hable:desat=0,\
                  zscale=t=bt709:m=bt709:r=full,format=yuv420p"
@@ -210,14 +210,14 @@ impl Film {
     }
 }
 
-/// A rate such as `30000/1001`.
+/// Parses a rate such as `30000/1001`.
 fn rate(text: &str) -> Option<f64> {
     let (over, under) = text.split_once('/').unwrap_or((text, "1"));
     let rate = over.parse::<f64>().ok()? / under.parse::<f64>().ok()?;
     (rate.is_finite() && rate > 0.0).then_some(rate)
 }
 
-/// Bits of a channel of a pixel format.
+/// Bits per channel of a pixel format.
 fn bits(format: &str) -> u32 {
     let deep = [("p10", 10), ("p12", 12), ("p16", 16), ("10le", 10), ("12le", 12)];
     deep.iter().find(|(part, _)| format.contains(part)).map_or(8, |(_, bits)| *bits)

@@ -1,4 +1,4 @@
-//! Measures every frame of a film, as ffmpeg decodes them to small grey pictures.
+//! Measures every frame of a film, which ffmpeg decodes to small grey pictures.
 
 use super::motion::Follower;
 use crate::{
@@ -8,24 +8,24 @@ use crate::{
 use std::sync::atomic::AtomicBool;
 use trimip::{Error, Result};
 
-/// How often motion is measured, times a second; frames between two measurements divide it equally.
+/// Motion measurements per second; frames between two measurements share the motion equally.
 const MOTION_RATE: f64 = 15.0;
 
-/// A frame of a film.
+/// Measurements of a frame of a film.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measured {
-    /// When it is shown, seconds from the start.
+    /// Presentation time, seconds from the first frame.
     pub seconds: f64,
-    /// Variance of its Laplacian, grey levels squared.
+    /// Variance of the frame's Laplacian, grey levels squared.
     pub sharpness: f64,
-    /// Its mean grey level, 0 to 255.
+    /// Mean grey level of the frame, 0 to 255.
     pub brightness: f64,
-    /// Motion of the picture up to it, in longest sides of the picture.
+    /// Motion of the picture from the first frame to this one, in longest sides of the picture.
     pub motion: f64,
 }
 
-/// Measures the frames that `call` writes as grey pictures of `size`, with their times in lines of the filter `showinfo`. `rate` is
-/// the mean number of frames a second, for frames without a time. `progress` gets the number of frames.
+/// Measures the frames that `call` writes as grey pictures of `size`, with their times in output lines of the filter `showinfo`. `rate` is
+/// the mean number of frames per second, for frames without a time. `progress` receives the number of frames so far.
 ///
 /// # Errors
 /// When ffmpeg fails before the first frame.
@@ -48,7 +48,7 @@ pub fn frames(
     };
     let ended = call.run_to_end(stop, &mut measuring)?;
     let Measuring { mut measured, times, .. } = measuring;
-    // A film that is cut off ends with an error, and has frames all the same.
+    // ffmpeg ends with an error on a truncated film, whose frames are usable all the same.
     if measured.is_empty() && !ended.is_success() {
         return Err(call.failed(&ended));
     }
@@ -61,7 +61,7 @@ pub fn frames(
     Ok(measured)
 }
 
-/// Divides the motion between every `stride`-th frame and the next such one among the frames between them.
+/// Spreads the motion between each `stride`-th frame and the next one equally over the frames between them.
 fn divide_motion(measured: &mut [Measured], stride: usize) {
     for first in (0..measured.len().saturating_sub(stride)).step_by(stride) {
         let (before, after) = (measured[first].motion, measured[first + stride].motion);
@@ -73,13 +73,13 @@ fn divide_motion(measured: &mut [Measured], stride: usize) {
 }
 
 struct Measuring<'a> {
-    /// The frame that is being read.
+    /// The frame that is being read; its pixels are incomplete.
     frame: Grey,
     follower: Follower,
-    /// Motion is measured at every so many frames.
+    /// Motion is measured at every `stride`-th frame.
     stride: usize,
     measured: Vec<Measured>,
-    /// Seconds, in the order of the frames.
+    /// Times in seconds, in frame order.
     times: Vec<Option<f64>>,
     progress: &'a mut dyn FnMut(u64),
 }

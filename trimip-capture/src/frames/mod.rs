@@ -1,5 +1,5 @@
-//! Frames of a film as pictures of a capture: every frame is measured at a small size, the sharpest of each interval of motion is
-//! taken, and those are written in full size. Both passes are by ffmpeg.
+//! Takes frames of a film as pictures of a capture, in two passes of ffmpeg. The first measures every frame at a small size; then the
+//! sharpest of each interval of motion are chosen, and the second pass writes those at full size.
 
 mod choice;
 mod film;
@@ -21,23 +21,23 @@ use std::{
 };
 use trimip::{Error, Result, formatting::duration};
 
-/// What is asked of a film.
+/// What the user asks of a film.
 pub struct Request<'a> {
-    /// Its absolute path.
+    /// Absolute path of the film.
     pub film: &'a Path,
     /// Number of frames, if the user gave one.
     pub frames: Option<u32>,
-    /// Threads of ffmpeg; 0 = as many as it likes.
+    /// Threads of ffmpeg; 0 = ffmpeg's default.
     pub threads: u32,
 }
 
-/// ffmpeg and ffprobe, and what this ffmpeg can do.
+/// The programs ffmpeg and ffprobe, and what this ffmpeg can do.
 struct Ffmpeg {
     ffmpeg: PathBuf,
     ffprobe: PathBuf,
-    /// The option that keeps frames as they come, by this version's name.
+    /// The option that neither drops nor repeats frames; its name depends on the version.
     passthrough: [&'static str; 2],
-    /// True if it can map the brightness of HDR.
+    /// True if this ffmpeg can tone-map HDR.
     maps_tones: bool,
 }
 
@@ -58,7 +58,7 @@ impl Ffmpeg {
     }
 }
 
-/// Takes frames out of a film into the new folder `images` within that of the capture.
+/// Takes frames out of a film and writes them to the new folder `images` in the folder of the capture.
 ///
 /// # Errors
 /// When ffmpeg is missing or fails, or the film has too few frames.
@@ -113,7 +113,7 @@ pub fn take(
     let target = folder.path(images);
     std::fs::create_dir_all(&target).map_err(|error| super::folder::unwritable(&target, &error))?;
     let selected: Vec<String> = frames.iter().map(|frame| format!("eq(n,{frame})")).collect();
-    // JPEG has the colour matrix of BT.601, and ffmpeg converts from another one only where it is told to.
+    // JPEG uses the BT.601 colour matrix, and ffmpeg converts from another matrix only on request.
     let filters = format!(
         "{}select='{}'{},scale=out_color_matrix=bt601",
         film.deinterlace(),
@@ -155,7 +155,7 @@ pub fn take(
     Ok(pictures)
 }
 
-/// True for a line of `-progress`, such as `speed=1.2x`: these would hide the last words of an ffmpeg that fails.
+/// True for a line of `-progress`, such as `speed=1.2x`. These lines would hide the last messages of an ffmpeg that fails.
 fn is_progress(line: &str) -> bool {
     let is_key = |key: &str| key.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
     line.split_once('=').is_some_and(|(key, _)| is_key(key))

@@ -1,33 +1,33 @@
-//! How far the picture of a film has moved: squares of a small picture are found again in a later one. The sum along the film is
-//! what frames are spread over, so that a camera that stands still gives few and one that goes on gives many.
+//! Measures how far the picture of a film has moved, by block matching between reduced pictures. Frames are spread over the sum of this
+//! motion along the film, so a camera that stands still yields few frames and a moving one many.
 
 use crate::grey::Grey;
 
 /// Pixels along the longest side of the small pictures.
 const LONGEST: usize = 160;
-/// Side of a square that is looked for, and how far, pixels of the small picture.
+/// Side of a square that is searched for, and the radius of the search, pixels of the small picture.
 const SQUARE: usize = 16;
 const REACH: usize = 12;
-/// Least variance of a square that can be found again, grey levels squared.
+/// Least variance of a square that can be matched, grey levels squared.
 const TEXTURE: f64 = 20.0;
-/// Difference to the best place above which a square is lost, grey levels a pixel.
+/// Mean absolute difference at the best place above which a square counts as lost, grey levels.
 const LOST: f64 = 24.0;
-/// Motion below which the picture stands still: noise alone shifts squares by less, pixels.
+/// Motion below which the picture counts as still, pixels: noise alone shifts squares by less.
 const STILL: f64 = 0.3;
-/// Motion after which later pictures are compared with a newer one, pixels.
+/// Motion after which the anchor, the picture that later ones are compared with, is renewed; pixels.
 const RENEW: f64 = 4.0;
 
-/// Follows the motion of a film.
+/// Tracks the motion of a film.
 #[derive(Default)]
 pub struct Follower {
     anchor: Option<Grey>,
-    /// Motion up to the anchor, and the largest so far, pixels of small pictures.
+    /// Motion up to the anchor, and the largest motion so far, pixels of the small picture.
     before: f64,
     largest: f64,
 }
 
 impl Follower {
-    /// Motion of the picture up to this frame, in longest sides of the picture. It never falls.
+    /// Motion of the picture from the first frame to this one, in longest sides of the picture. It never decreases.
     pub fn follow(&mut self, frame: &Grey) -> f64 {
         let side = frame.width.max(frame.height).div_ceil(LONGEST).max(1);
         let small = frame.reduced(side);
@@ -48,7 +48,7 @@ impl Follower {
     }
 }
 
-/// How far squares of `from` lie from their places in `to`: the median, pixels; [`REACH`] where most are lost.
+/// Median distance by which squares of `from` have moved in `to`, pixels; a lost square counts as [`REACH`].
 fn displacement(from: &Grey, to: &Grey) -> f64 {
     let mut found = Vec::new();
     let corners = |side: usize| (REACH..(side.saturating_sub(SQUARE + REACH - 1)).max(REACH)).step_by(SQUARE);
@@ -85,7 +85,8 @@ fn variance(picture: &Grey, left: usize, top: usize) -> f64 {
     squares as f64 / count - mean * mean
 }
 
-/// Distance to the place where a square is found again, pixels, with a parabola through the differences beside the least one.
+/// Distance to the best match of a square, pixels; `None` if it is lost. A parabola through the differences next to the least one gives
+/// subpixel precision.
 fn search(from: &Grey, to: &Grey, left: usize, top: usize) -> Option<f64> {
     const SIDE: usize = 2 * REACH + 1;
     let difference = |x: usize, y: usize| -> u32 {
@@ -93,7 +94,7 @@ fn search(from: &Grey, to: &Grey, left: usize, top: usize) -> Option<f64> {
         rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum::<u32>()).sum()
     };
     let table: Vec<u32> = (0..SIDE * SIDE).map(|i| difference(i % SIDE, i / SIDE)).collect();
-    // Of equal places the nearest one: a plain square has not moved.
+    // Among equal matches the nearest wins: a square without texture has not moved.
     let far = |i: usize| (i % SIDE).abs_diff(REACH).pow(2) + (i / SIDE).abs_diff(REACH).pow(2);
     let best = (0..table.len()).min_by_key(|&i| (table[i], far(i)))?;
     if f64::from(table[best]) > LOST * (SQUARE * SQUARE) as f64 {
@@ -119,7 +120,7 @@ fn search(from: &Grey, to: &Grey, left: usize, top: usize) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// A picture of smooth random waves, moved.
+    /// A picture of smooth random waves, shifted by `dx`, `dy`.
     fn waves(dx: f64, dy: f64, noise: u32) -> Grey {
         let (width, height) = (320, 180);
         let mut random = 1_u32;

@@ -1,4 +1,4 @@
-//! The program `colmap`, of any version since 3.6, and `glomap`. Names of options changed with versions: those that its help lists
+//! The programs `colmap`, of any version since 3.6, and `glomap`. Option names differ between versions: those that the program's help lists
 //! are used.
 
 use crate::{
@@ -13,22 +13,22 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// An option: its names in versions, of which the first that is there is taken, and its value.
+/// An option: its names in different versions, of which the first that the program has is used, and its value.
 type Choice = (&'static [&'static str], OsString);
 
-/// The program.
+/// The program `colmap`.
 pub struct Colmap {
     program: PathBuf,
-    /// `colmap 3.8`.
+    /// Name and version, such as `colmap 3.8`.
     pub version: String,
-    /// Built with CUDA.
+    /// True if it is built with CUDA.
     pub has_cuda: bool,
-    /// True if it places all cameras at once.
+    /// True if it has a global mapper, which places all cameras at once.
     pub has_global: bool,
 }
 
 impl Colmap {
-    /// The program, if it is on the path and runs.
+    /// Finds the program, if it is on the path and runs.
     pub fn find() -> Option<Self> {
         let program = programs::find("colmap")?;
         let help = ask(&program, &["help"])?;
@@ -36,18 +36,18 @@ impl Colmap {
         let version = first.split("COLMAP").nth(1).and_then(|rest| rest.split_whitespace().next());
         let version = format!("colmap {}", version.unwrap_or("of an unknown version"));
         let has_cuda = help.contains("with CUDA");
-        // Commands stand alone on their lines.
+        // The help lists one command per line.
         let has_global = help.lines().any(|line| line.trim() == "global_mapper");
         Some(Self { program, version, has_cuda, has_global })
     }
 
-    /// A call of a command with those of the options that it has: an option may have several names, of which the first that is there
-    /// is taken.
+    /// A call of a command. An option may have several names, of which the first that the command has is used; an option that it lacks is
+    /// left out.
     fn call<'a>(&'a self, folder: &'a Folder, log: &str, command: &str, options: &[Choice]) -> Call<'a> {
         let known = self.options_of(command);
         let mut arguments: Vec<OsString> = vec![command.into()];
         for (names, value) in options {
-            // A help that is not understood is no reason to leave out what every version has.
+            // These options exist in every version, so they are passed even if the help cannot be parsed.
             let required = names.len() == 1 && names[0].ends_with("_path") && !names[0].contains('.');
             let name = names.iter().find(|name| known.contains(**name) || required);
             if let Some(name) = name {
@@ -59,7 +59,7 @@ impl Colmap {
             name: format!("colmap {command}"),
             program: &self.program,
             arguments,
-            // Paths below this folder are plain, whatever the user's own hold.
+            // Arguments are paths relative to this folder, free of special characters that the user's own path may contain.
             folder: folder.root(),
             log: folder.log(log),
         }
@@ -71,7 +71,7 @@ impl Colmap {
         options(&help.unwrap_or_default())
     }
 
-    /// Finds features.
+    /// The call that finds features.
     pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Call<'a> {
         let flag = |cameras: Cameras| OsString::from(if by.cameras == cameras { "1" } else { "0" });
         let options = vec![
@@ -88,7 +88,7 @@ impl Colmap {
         self.call(folder, "features", "feature_extractor", &options)
     }
 
-    /// Compares pairs.
+    /// The call that compares pairs.
     pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Call<'a> {
         let mut options = matching(database, by);
         let command = match &by.pairs {
@@ -113,7 +113,7 @@ impl Colmap {
         self.call(folder, "matches", command, &options)
     }
 
-    /// Compares the pairs of a list.
+    /// The call that compares the pairs of a list.
     pub fn loops<'a>(&'a self, folder: &'a Folder, database: &str, list: &str, by: &Decisions) -> Call<'a> {
         let mut options = matching(database, by);
         options.push(choice(&["match_list_path"], list));
@@ -121,7 +121,7 @@ impl Colmap {
         self.call(folder, "loops", "matches_importer", &options)
     }
 
-    /// Places cameras.
+    /// The call that places cameras.
     pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Call<'a> {
         let mut options = vec![
             choice(&["database_path"], "database.db"),
@@ -137,7 +137,7 @@ impl Colmap {
     }
 }
 
-/// Places cameras by glomap.
+/// The call that places cameras with glomap.
 pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'a> {
     let call = Call {
         name: "glomap mapper".into(),
@@ -149,7 +149,7 @@ pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'
     call.with(["mapper", "--database_path", "database.db", "--image_path", "images", "--output_path", models])
 }
 
-/// What all matchers have.
+/// Options that all matchers share.
 fn matching(database: &str, by: &Decisions) -> Vec<Choice> {
     vec![
         choice(&["database_path"], database),
@@ -166,12 +166,12 @@ fn number(value: u32) -> OsString {
     value.to_string().into()
 }
 
-/// COLMAP takes −1 for all.
+/// Number of threads; COLMAP takes −1 for all.
 fn threads(by: &Decisions) -> OsString {
     if by.threads == 0 { "-1".into() } else { number(by.threads) }
 }
 
-/// The options in a help: words that begin with two hyphens.
+/// The options in a help text: words that begin with two hyphens.
 fn options(help: &str) -> BTreeSet<String> {
     let words = help.split(|c: char| c.is_whitespace() || c == '=' || c == '[' || c == ',');
     words

@@ -1,12 +1,12 @@
-//! Counts in what COLMAP says, of all versions: `Processed file [3/50]`, `Matching block [1/2, 2/2]`, `Registering image #7 (5)`,
-//! `Registering image #7 (num_reg_frames=5)`.
+//! Parses progress counts from the output of COLMAP, of all versions: `Processed file [3/50]`, `Matching block [1/2, 2/2]`, `Registering
+//! image #7 (5)`, `Registering image #7 (num_reg_frames=5)`.
 
-/// Counts what is done in a program's lines.
+/// Reads the progress of a program from its output lines.
 pub struct Counter {
     what: What,
     /// Number of pictures.
     all: u64,
-    /// Largest count so far: another model begins at 2 again.
+    /// Largest count so far: the mapper starts a further model at 2 again.
     most: u64,
     found_nothing: bool,
 }
@@ -18,27 +18,27 @@ enum What {
     Model,
 }
 
-/// Signs of a mapper that finds no model.
+/// Messages of a mapper that finds no model.
 const NOTHING: [&str; 3] =
     ["failed to create sparse model", "Failed to create any sparse model", "No images with matches found"];
 
 impl Counter {
-    /// Files of which features are found.
+    /// Counts files whose features are found.
     pub fn features(all: u64) -> Self {
         Self { what: What::Features, all, most: 0, found_nothing: false }
     }
 
-    /// Pictures or blocks that are compared.
+    /// Counts pictures or blocks that are compared.
     pub fn matches() -> Self {
         Self { what: What::Matches, all: 0, most: 0, found_nothing: false }
     }
 
-    /// Cameras that are placed.
+    /// Counts cameras that are placed.
     pub fn model(all: u64) -> Self {
         Self { what: What::Model, all, most: 0, found_nothing: false }
     }
 
-    /// Done and all, if a line tells.
+    /// The numbers done and in total, if a line states them.
     pub fn count(&mut self, line: &str) -> Option<(u64, u64)> {
         let lower = line.to_lowercase();
         self.found_nothing |= NOTHING.iter().any(|sign| lower.contains(&sign.to_lowercase()));
@@ -65,13 +65,13 @@ impl Counter {
         }
     }
 
-    /// True if the mapper said that it found no model.
+    /// True if the mapper has reported that it found no model.
     pub fn found_nothing(&self) -> bool {
         self.found_nothing
     }
 }
 
-/// The numbers of `[3/50]`, or of `[1/2, 2/2]` together.
+/// The numbers of `[3/50]`, or those of `[1/2, 2/2]` combined.
 fn in_brackets(text: &str) -> Option<(u64, u64)> {
     let inner = text.split_once('[')?.1.split_once(']')?.0;
     let pair = |part: &str| {

@@ -1,6 +1,6 @@
-//! Finding the poses of pictures by the programs of others, in three stages: features, matches, a model. COLMAP is called and not linked:
-//! it is a large program in C++ with its own solvers and GPU code, it comes ready for every system, and what it
-//! computes is kept in files that this program reads anyway.
+//! Estimates the poses of pictures with other programs, in three stages: features, matches, a model. COLMAP is called and not linked: it is
+//! a large C++ program with its own solvers and GPU code, it is available prebuilt for every system, and its results are files that this
+//! program reads anyway.
 
 mod colmap;
 mod counts;
@@ -25,13 +25,13 @@ use std::{
 };
 use trimip::{Error, Result};
 
-/// The programs that find poses.
+/// The programs that estimate poses.
 pub struct Poses {
-    /// What finds features and matches, and places cameras.
+    /// Finds features and matches, and places cameras unless glomap does.
     engine: Engine,
-    /// Places cameras instead.
+    /// Path of glomap, which can place the cameras instead.
     glomap: Option<PathBuf>,
-    /// Whether glomap was asked for.
+    /// True if the user asked for glomap.
     only_glomap: bool,
 }
 
@@ -40,21 +40,21 @@ enum Engine {
     Python(Python),
 }
 
-/// How a stage is watched: whether it shall stop, and its counts, done of all; 0 of 0 where nothing is known.
+/// Control of a running stage: a flag that stops it, and a callback for its progress.
 pub struct Watching<'a> {
-    /// Set by the user's Ctrl-C.
+    /// Set when the user stops the capture.
     pub stop: &'a AtomicBool,
-    /// Takes the counts.
+    /// Receives the counts, done and total.
     pub progress: &'a mut dyn FnMut(u64, u64),
 }
 
 impl Poses {
-    /// Finds the program `wanted`. Without one, it is the program that found the features of this capture (`began`), then colmap, then
-    /// pycolmap. A pycolmap from version 4 on precedes a colmap before version 4, which takes several times as long on a CPU. Errors
-    /// name `place`, the input.
+    /// Finds the program `wanted`. Without one, the order is: the program that computed the features of this capture (`began`), colmap,
+    /// pycolmap. A pycolmap of version 4 or later precedes a colmap before version 4, which takes several times as long on a CPU. Error
+    /// messages name `place`, the input.
     ///
     /// # Errors
-    /// Of kind `Input`, with the line that installs what is missing.
+    /// Of kind `Input`, with the command that installs what is missing.
     pub fn find(wanted: Option<PosesProgram>, began: Option<PosesProgram>, place: &Path) -> Result<Self> {
         let glomap = programs::find("glomap");
         let only_glomap = wanted == Some(PosesProgram::Glomap);
@@ -68,7 +68,7 @@ impl Poses {
             Some(PosesProgram::Pycolmap) => {
                 python().ok_or_else(|| Need::Pycolmap.missing("--poses pycolmap"))
             }
-            // glomap places cameras, and others find features and matches.
+            // glomap only places cameras; another program must find features and matches.
             _ if began == Some(PosesProgram::Pycolmap) => {
                 python().or_else(colmap).ok_or_else(|| Need::Poses.missing(place.display()))
             }
@@ -89,7 +89,7 @@ impl Poses {
         Ok(Self { engine: engine?, glomap, only_glomap })
     }
 
-    /// What finds features and matches, with its version.
+    /// Name and version of the program that finds features and matches.
     pub fn name(&self) -> &str {
         match &self.engine {
             Engine::Colmap(colmap) => &colmap.version,
@@ -97,7 +97,7 @@ impl Poses {
         }
     }
 
-    /// A hint at a faster program.
+    /// A hint at a faster program, if this one is slow.
     pub fn hint(&self) -> Option<&'static str> {
         let is_slow =
             matches!(&self.engine, Engine::Colmap(colmap) if is_old(&colmap.version) && !colmap.has_cuda);
@@ -105,7 +105,7 @@ impl Poses {
             .then_some("pip install pycolmap brings version 4, which takes a fraction of the time on a CPU")
     }
 
-    /// What they can do.
+    /// What these programs can do.
     pub fn ability(&self) -> Ability {
         let (own, gpu, why_no_gpu) = match &self.engine {
             Engine::Colmap(colmap) => {
@@ -125,7 +125,7 @@ impl Poses {
         }
     }
 
-    /// What places the cameras, in words.
+    /// Name of the program that places the cameras.
     pub fn mapper_name(&self, decisions: &Decisions) -> String {
         match self.glomap_of(decisions) {
             Some(_) => "glomap".into(),
@@ -133,7 +133,7 @@ impl Poses {
         }
     }
 
-    /// glomap, if it places the cameras.
+    /// Path of glomap, if it places the cameras.
     fn glomap_of(&self, decisions: &Decisions) -> Option<&Path> {
         let own = match &self.engine {
             Engine::Colmap(colmap) => colmap.has_global,
@@ -142,7 +142,7 @@ impl Poses {
         self.glomap.as_deref().filter(|_| decisions.global && (self.only_glomap || !own))
     }
 
-    /// Finds the features of all pictures, into the new file `database` of the folder.
+    /// Finds the features of all pictures and writes them to the new file `database` of the folder.
     ///
     /// # Errors
     /// When the program fails.
@@ -162,7 +162,7 @@ impl Poses {
         run(&call, Counter::features(all), watching)
     }
 
-    /// Compares pairs of pictures, and adds what matches to `database` of the folder.
+    /// Compares pairs of pictures and adds the matches to `database` of the folder.
     ///
     /// # Errors
     /// When a program fails.
@@ -180,7 +180,7 @@ impl Poses {
         };
         run(&call, Counter::matches(), watching)?;
         let Pairs::Sequential { every: every @ 1.., .. } = decisions.pairs else { return Ok(()) };
-        // Pictures far apart in the film may see the same.
+        // Pictures far apart in the film may show the same place: a second pass compares evenly spread pictures.
         let list = "log/pairs.txt";
         let spread: Vec<&str> =
             pictures.pictures.iter().step_by(every).map(|picture| picture.name.as_str()).collect();
@@ -199,10 +199,10 @@ impl Poses {
         run(&call, Counter::matches(), watching)
     }
 
-    /// Places cameras: writes models, each in a folder of its number, into the new folder `models`.
+    /// Places cameras. Writes each model to a numbered folder in the new folder `models`.
     ///
     /// # Errors
-    /// When the program fails otherwise than by finding no model.
+    /// When the program fails for another reason than finding no model.
     pub fn model(
         &self,
         folder: &Folder,
@@ -226,14 +226,14 @@ impl Poses {
             }
             true
         })?;
-        // COLMAP calls it a failure where no camera can be placed.
+        // COLMAP reports failure if no camera can be placed.
         if ended.is_success() || counter.found_nothing() {
             return Ok(());
         }
         Err(call.failed(&ended))
     }
 
-    /// The error of pictures of which no camera was placed.
+    /// The error for pictures of which no camera was placed.
     pub fn placed_nothing(&self, folder: &Folder) -> Error {
         Error::input(
             folder.path("images").display(),
@@ -263,7 +263,7 @@ fn run(call: &Call<'_>, mut counter: Counter, watching: &mut Watching<'_>) -> Re
     .map(drop)
 }
 
-/// True if the driver of NVIDIA lists a GPU.
+/// True if NVIDIA's driver lists a GPU.
 fn has_nvidia() -> bool {
     let lists = programs::find("nvidia-smi").and_then(|program| process::ask(&program, &["-L"]));
     lists.is_some_and(|list| list.contains("GPU "))

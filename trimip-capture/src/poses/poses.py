@@ -1,5 +1,5 @@
-"""One stage of finding the poses of pictures by pycolmap, of any version since 0.4: `poses.py STAGE JSON`, called by
-`trimip-cli capture` in the folder of the capture. Functions and options that a version does not know are left out.
+"""Runs one stage of pose estimation with pycolmap, of any version since 0.4: `poses.py STAGE JSON`, called by
+`trimip-cli capture` in the folder of the capture. Functions and options that the version lacks are left out.
 """
 
 import json
@@ -9,7 +9,7 @@ import pycolmap
 
 
 def made(names, **values):
-    """An object of the first class of these names that is there, with those of the values that it knows; None without one."""
+    """Returns an object of the first of these classes that exists, with those values set that it has; None if none exists."""
     for name in names:
         kind = getattr(pycolmap, name, None)
         if kind is None:
@@ -23,7 +23,7 @@ def made(names, **values):
 
 
 def call(function, *required, **optional):
-    """Calls a function with those of the optional arguments that its first line of documentation names."""
+    """Calls a function with those optional arguments that the signature in the first line of its documentation names."""
     known = (function.__doc__ or "").split("->")[0]
     given = {key: value for key, value in optional.items() if value is not None and f"{key}:" in known}
     return function(*required, **given)
@@ -50,7 +50,7 @@ def features(o):
 
 
 def match(function, o, pairing):
-    """Calls a matcher: the options of its pairs are `pairing_options` or `matching_options`, by version."""
+    """Calls a matcher. The options of its pairs are called `pairing_options` or `matching_options`, depending on the version."""
     common = dict(use_gpu=o["gpu"], num_threads=o["threads"])
     later = hasattr(pycolmap, "FeatureMatchingOptions")
     call(
@@ -89,7 +89,7 @@ def pairs(o):
 
 
 def said(models):
-    """Tells in COLMAP's words that there is no model: it is no failure of the program."""
+    """Reports in COLMAP's words that there is no model, which is not a failure of the program."""
     if not models:
         print("failed to create sparse model", flush=True)
 
@@ -115,7 +115,7 @@ STAGES = {
     "global": global_,
 }
 
-# What it says goes to this program and not to files of its own.
+# Log messages go to this process's output and not to files of their own.
 logging = getattr(pycolmap, "logging", None)
 for name in ["logtostderr", "alsologtostderr"]:
     if hasattr(logging, name):

@@ -1,4 +1,4 @@
-//! The Python package `pycolmap`, by a script that is kept beside the logs.
+//! The Python package `pycolmap`, called by a script that is written next to the logs.
 
 use crate::{
     decisions::{Cameras, Decisions, Pairs},
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use trimip::Result;
 use trimip_core::atomic::write_atomically;
 
-/// Names under which a Python may be on the path.
+/// Names under which Python may be on the path.
 const NAMES: [&str; 10] = [
     "python3",
     "python",
@@ -25,27 +25,27 @@ const NAMES: [&str; 10] = [
     "py",
 ];
 
-/// What a Python is asked.
+/// Program that reports the version and abilities of the package.
 const QUESTION: &str = "import pycolmap\n\
                         print('pycolmap', pycolmap.__version__, bool(getattr(pycolmap, 'has_cuda', False)), \
                         hasattr(pycolmap, 'global_mapping'))";
 
-/// What calls the package.
+/// Script that calls the package.
 const SCRIPT: &str = include_str!("poses.py");
 
-/// A Python with the package.
+/// A Python interpreter that has the package.
 pub struct Python {
     program: PathBuf,
-    /// `pycolmap 4.0.2`.
+    /// Name and version, such as `pycolmap 4.0.2`.
     pub version: String,
-    /// Built with CUDA.
+    /// True if it is built with CUDA.
     pub has_cuda: bool,
-    /// True if it places all cameras at once.
+    /// True if it has a global mapper, which places all cameras at once.
     pub has_global: bool,
 }
 
 impl Python {
-    /// The first Python on the path that has the package.
+    /// The first Python interpreter on the path that has the package.
     pub fn find() -> Option<Self> {
         NAMES.iter().filter_map(|name| programs::find(name)).find_map(|program| {
             let answer = ask(&program, &["-c", QUESTION])?;
@@ -57,7 +57,7 @@ impl Python {
         })
     }
 
-    /// A call of a stage.
+    /// Writes the script and returns the call of a stage.
     fn call<'a>(&'a self, folder: &'a Folder, log: &str, stage: &str, options: Value) -> Result<Call<'a>> {
         let path = folder.path("log/poses.py");
         if let Some(parent) = path.parent() {
@@ -74,7 +74,7 @@ impl Python {
         Ok(call.with(["log/poses.py", stage, &options.to_string()]))
     }
 
-    /// Finds features.
+    /// The call that finds features.
     pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
         let mode = match by.cameras {
             Cameras::One => "SINGLE",
@@ -89,7 +89,7 @@ impl Python {
         self.call(folder, "features", "features", options)
     }
 
-    /// Compares pairs.
+    /// The call that compares pairs.
     pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
         let mut options = common(database, by);
         let stage = match &by.pairs {
@@ -107,7 +107,7 @@ impl Python {
         self.call(folder, "matches", stage, options)
     }
 
-    /// Compares the pairs of a list.
+    /// The call that compares the pairs of a list.
     pub fn loops<'a>(
         &'a self,
         folder: &'a Folder,
@@ -120,7 +120,7 @@ impl Python {
         self.call(folder, "loops", "pairs", options)
     }
 
-    /// Places cameras.
+    /// The call that places cameras.
     pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Result<Call<'a>> {
         let mut options = common("database.db", by);
         options["images"] = "images".into();

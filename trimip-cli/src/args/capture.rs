@@ -8,40 +8,40 @@ use trimip_capture::{Lens, Mapper, Matcher, PosesProgram, Request};
 /// Options of `capture`.
 #[derive(Args, Debug)]
 pub struct CaptureArguments {
-    /// A film, a folder of photographs (JPEG, PNG, HEIC, …), or a zip archive of either; it is only read
+    /// A film, a folder of photographs (JPEG, PNG, HEIC, …), or a zip archive of either; never changed
     #[arg(value_name = "FILM|FOLDER|ARCHIVE")]
     pub input: PathBuf,
     /// Folder of the capture [default: captures/ and the name of the film, folder or archive]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Number of frames of a film [default: two a second, 50 to 300; fewer where the camera hardly moves]
+    /// Number of frames to take from a film [default: 2 per second, 50 to 300; fewer if the camera hardly moves]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub frames: Option<u32>,
-    /// What finds the poses [default: the first of these that is there]
+    /// Program that finds the poses [default: the first of these that is installed; pycolmap 4 precedes an older colmap]
     #[arg(long, value_enum)]
     pub poses: Option<PosesProgram>,
-    /// Camera model [default: opencv; simple-radial where each picture has a camera of its own]
+    /// Camera model [default: radial; simple-radial where each picture has its own camera]
     #[arg(long, value_enum)]
     pub camera: Option<Lens>,
-    /// Which pictures are compared [default: sequential for films, exhaustive for up to 200 photographs]
+    /// Which pairs of pictures are compared [default: sequential for films, exhaustive for up to 200 photographs]
     #[arg(long, value_enum)]
     pub matcher: Option<Matcher>,
-    /// A vocabulary tree for this version of COLMAP, which finds pictures that look alike
+    /// A vocabulary tree in the format of the installed COLMAP; finds pictures that look alike
     #[arg(long, value_name = "FILE")]
     pub vocab_tree: Option<PathBuf>,
-    /// How cameras are placed [default: incremental; global for more than 300 pictures where COLMAP 4 or glomap is there]
+    /// How cameras are placed [default: incremental; global for more than 300 pictures if COLMAP 4 or glomap is installed]
     #[arg(long, value_enum)]
     pub mapper: Option<Mapper>,
     /// Longest side of the pictures in which features are looked for, pixels [default: 1600; 3200 on a GPU]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(200..=20_000))]
     pub size: Option<u32>,
-    /// Threads of the programs; 0 = all
+    /// Threads of the external programs; 0 = all
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub threads: u32,
-    /// Do everything again
+    /// Do all stages again
     #[arg(long)]
     pub fresh: bool,
-    /// Then train on it, as `trimip-cli FOLDER` does, and write a film and a page of the model
+    /// Then train on the scene, as `trimip-cli FOLDER` does, and write a video and a page of the model
     #[arg(long)]
     pub train: bool,
     /// Minutes of training [default: 5]
@@ -56,7 +56,7 @@ pub struct CaptureArguments {
 }
 
 impl CaptureArguments {
-    /// What is captured, and how.
+    /// The capture that these options describe.
     pub fn request(&self) -> Request {
         Request {
             input: self.input.clone(),

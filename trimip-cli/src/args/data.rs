@@ -19,7 +19,7 @@ pub enum DataAction {
     Inspect {
         /// Folder of the scene, its transforms.json or its zip archive; overrides data.root
         root: Option<PathBuf>,
-        /// Also write a page: cameras and box from three sides, thumbnails, warnings and checks, in one file
+        /// Also write a page, in one file: cameras and box from three sides, thumbnails, warnings and checks
         #[arg(long, value_name = "FILE", value_parser = ending("html"))]
         html: Option<PathBuf>,
         /// Settings.

@@ -17,7 +17,7 @@ pub struct ExportArguments {
 pub enum ExportWhat {
     /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ or GLB
     Mesh(MeshArguments),
-    /// A folder for any static web server: the model, and a page that renders it with the visitor's own GPU (WebGPU)
+    /// A folder for any static web server: the model, and a page that renders it on the visitor's GPU (WebGPU)
     Web(WebArguments),
 }
 
@@ -26,15 +26,15 @@ pub enum ExportWhat {
 pub struct WebArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// Folder [default: web beside the model]
+    /// Folder [default: `web` next to the model]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Folder with the page's program, as tools/web.sh builds it
+    /// Folder with the WebAssembly program of the page, as tools/web.sh builds it
     #[arg(long, value_name = "DIR", default_value = "target/web")]
     pub viewer: PathBuf,
-    /// What the page shows when it opens, in world units: none (the whole place), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner) or "ball X,Y,Z,RADIUS"; by cells of the occupancy grid. A switch of the page shows the crop
-    /// alone or everything
+    /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
+    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page shows the crop
+    /// or everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
 }
@@ -44,34 +44,33 @@ pub struct WebArguments {
 pub struct MeshArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// File; its name ends in .ply, .obj or .glb [default: mesh.ply beside the model]
+    /// File; its name ends in .ply, .obj or .glb [default: mesh.ply next to the model]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Cells of the grid along the longest side of the box
     #[arg(long, default_value_t = 512, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=2048))]
     pub resolution: u32,
-    /// Density of the surface, per world unit [default: that of which a marching step has an optical depth of 0.2]
+    /// Density of the surface, per world unit [default: the density at which a marching step has an optical depth of 0.2]
     #[arg(long, value_name = "DENSITY")]
     pub level: Option<f64>,
-    /// Leave out connected parts with a smaller diagonal, as a share of the longest side of the box
+    /// Leave out connected parts whose diagonal is smaller than this share of the longest side of the box
     #[arg(long, default_value_t = 0.02, value_name = "SHARE")]
     pub specks: f64,
     /// Simplify to about this many triangles; 0 = keep all
     #[arg(long, default_value_t = 100_000, value_name = "N")]
     pub triangles: usize,
-    /// Simplify as far as the surface moves by less than this share of the mesh's largest side, instead of to a number of
-    /// triangles
+    /// Simplify as long as the surface moves by less than this share of the mesh's longest side, in place of --triangles
     #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
     pub error: Option<f64>,
-    /// What to write of the scene, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper
-    /// corner) or "ball X,Y,Z,RADIUS"; the surface is open where the crop cuts it
+    /// Part of the scene to write, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper corner) or "ball
+    /// X,Y,Z,RADIUS"; the surface is open where the crop cuts it
     #[arg(long, default_value = "auto", value_name = "CROP")]
     pub crop: CropChoice,
-    /// Leave out what fewer than N training cameras see; 0 = keep all [default: 3 in contracted space, otherwise 0]
+    /// Leave out triangles that fewer than N training cameras see; 0 = keep all [default: 3 in contracted space, otherwise 0]
     #[arg(long, value_name = "N")]
     pub seen_by: Option<u32>,
-    /// Write coordinates that count from data.origin, for programs with 32 bits; the file states what to add. Without, all are those
-    /// of the photographs; the two differ where these lie far from the origin of their coordinates
+    /// Write coordinates relative to data.origin, for programs with 32-bit coordinates; the file states the offset. By default, coordinates
+    /// are those of the photographs. The two differ if the photographs lie far from the origin of their coordinates
     #[arg(long)]
     pub local: bool,
     /// Leave out the colours of the vertices

@@ -9,11 +9,11 @@ pub enum Schedule {
     /// After --seconds of training: equal time on this machine
     #[default]
     Equal,
-    /// At the end of the system's own schedule, as long as that takes
+    /// At the end of the system's own schedule, however long that takes
     Own,
 }
 
-/// What is trained on.
+/// The splits that are trained on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Split {
     /// The split train
@@ -28,7 +28,7 @@ pub enum Split {
 pub enum TableScales {
     /// 1/1, 1/2, 1/4 and 1/8
     Four,
-    /// 1/1 alone
+    /// 1/1 only
     One,
 }
 
@@ -38,19 +38,19 @@ pub struct PaperArguments {
     /// Folders of scenes, or a folder that holds some of the Blender scenes: chair, drums, ficus, hotdog, lego, materials, mic, ship
     #[arg(required_unless_present = "list", value_name = "SCENE")]
     pub scenes: Vec<PathBuf>,
-    /// List the systems and end
+    /// List the systems and exit
     #[arg(long)]
     pub list: bool,
     /// Systems to train, by name [default: all]
     #[arg(long, value_name = "NAME,..", value_delimiter = ',')]
     pub systems: Vec<String>,
-    /// Seconds of training of each run [default: 300]
+    /// Seconds of training per run [default: 300]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seconds: Option<f64>,
     /// When a run ends
     #[arg(long, value_enum, default_value_t)]
     pub schedule: Schedule,
-    /// Seeds of each system on each scene: their spread is the random variation
+    /// Seeds of each system on each scene; their spread shows the random variation
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
     pub seeds: u32,
     /// Tables to make: the multi-scale one, the single-scale one, or both
@@ -59,17 +59,17 @@ pub struct PaperArguments {
     /// Splits to train on
     #[arg(long, value_enum, default_value_t)]
     pub split: Split,
-    /// Measure every n-th test view at the end; 1 = all, as published figures do
+    /// Measure every n-th test view at the end; 1 = all, like the published figures
     #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub stride: u32,
-    /// Configuration file (TOML) that lies over the settings of every system
+    /// Configuration file (TOML) that overrides the settings of every system
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Override one setting of every system, or of those with its encoder; may be given many times
+    /// Override one setting of every system, or of the systems whose encoder has it; may be given many times
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
-    /// Folder of paper.html, paper.json, paper.md, paper.tex and of the runs, SCENE/SYSTEM/SEED; the same command goes on
-    /// where it was interrupted
+    /// Folder of paper.html, paper.json, paper.md, paper.tex and of the runs, SCENE/SYSTEM/SEED; the same command resumes an interrupted
+    /// one
     #[arg(long, default_value = "runs/paper", value_name = "DIR")]
     pub out: PathBuf,
 }

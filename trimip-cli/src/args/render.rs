@@ -40,7 +40,7 @@ impl From<Quantity> for trimip::view::Quantity {
 pub struct RenderArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// Output folder [default: `renders` beside the model]
+    /// Output folder [default: `renders` next to the model]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Test views by number, e.g. 0,25,50 (needs the data set) [default cameras: view 0]
@@ -52,13 +52,13 @@ pub struct RenderArguments {
     /// One camera by position and target, e.g. 4,0,2/0,0,0
     #[arg(long, value_name = "X,Y,Z/X,Y,Z", allow_hyphen_values = true)]
     pub look_at: Option<String>,
-    /// A camera path: JSON like transforms_test.json (frames with transform_matrix)
+    /// A camera path: JSON in the format of transforms_test.json (frames with transform_matrix)
     #[arg(long, value_name = "FILE")]
     pub path: Option<PathBuf>,
     /// A circle of N cameras around the model's box
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub turntable: Option<u32>,
-    /// A film of N cameras along the training cameras, without the distortion of their lens (needs the run folder or the data set)
+    /// A film of N cameras along the training cameras, without lens distortion (needs the run folder or the data set)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     pub flythrough: Option<u32>,
     /// Turntable: degrees above the horizon
@@ -71,32 +71,32 @@ pub struct RenderArguments {
     /// Up direction in the picture, for --look-at and --turntable [default: scene.up of the model]
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     pub up: Option<String>,
-    /// Width in pixels [default: 800; a flythrough's: the photographs']
+    /// Width in pixels [default: 800; flythrough: width of the photographs]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     pub width: Option<u32>,
-    /// Height in pixels [default: 800; a flythrough's: the photographs' share of the width]
+    /// Height in pixels [default: 800; flythrough: from the width, with the aspect ratio of the photographs]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=16_384))]
     pub height: Option<u32>,
-    /// Horizontal field of view in degrees [default: 39.6, the Blender scenes'; a flythrough's: the photographs']
+    /// Horizontal field of view in degrees [default: 39.6, as in the Blender scenes; flythrough: that of the photographs]
     #[arg(long, allow_hyphen_values = true)]
     pub fov: Option<f64>,
-    /// What the pictures show, in world units: none (the whole place), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z" (lower
-    /// and upper corner) or "ball X,Y,Z,RADIUS"; by cells of the occupancy grid
+    /// Part of the world that the pictures show, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z" (lower
+    /// and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
     /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub scale: f64,
-    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, the original below
+    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, with the original below
     #[arg(long, conflicts_with_all = ["format", "what", "crop"])]
     pub strip: bool,
-    /// Strip: another model, in a separate row; may be given many times
+    /// Strip: another model, shown in its own row; may be given many times
     #[arg(long, value_name = "RUN", requires = "strip")]
     pub against: Vec<PathBuf>,
     /// File format
     #[arg(long, value_enum, default_value = "png")]
     pub format: PictureFormat,
-    /// What to write
+    /// Quantities to write
     #[arg(
         long,
         value_enum,
@@ -105,13 +105,13 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
-    /// Path, turntable and flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm), by the program ffmpeg
+    /// Path, turntable and flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm) with the program ffmpeg
     #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
     pub video: Option<PathBuf>,
-    /// Video: pictures a second
+    /// Video: frames per second
     #[arg(long, default_value_t = 30.0, requires = "video")]
     pub rate: f64,
-    /// Path, turntable and flythrough: render all views again; otherwise the same command goes on where it was interrupted
+    /// Path, turntable and flythrough: render all views again; by default, the same command resumes an interrupted one
     #[arg(long)]
     pub fresh: bool,
     /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu

@@ -1,4 +1,4 @@
-//! Options that several verbs have.
+//! Options that several verbs share.
 
 use clap::Args;
 use std::path::PathBuf;
@@ -9,10 +9,10 @@ use trimip_core::scene::origin::LocalOrigin;
 /// Sources of settings.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SettingsArguments {
-    /// A system, by the name that `paper --list` shows: its settings lie over the defaults and under all others
+    /// A system, by its name in `paper --list`; its settings override the defaults and yield to all others
     #[arg(long, value_name = "NAME")]
     pub system: Option<String>,
-    /// Configuration file (TOML); missing settings have their defaults
+    /// Configuration file (TOML); missing settings keep their defaults
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Override one setting; may be given many times
@@ -31,7 +31,7 @@ pub struct SceneArguments {
     pub minutes: Option<f64>,
 }
 
-/// Parser of the name of a file to write. A name of another kind is a slip, and would cost the file that has it.
+/// Parser for the name of a file to write. It refuses other extensions, so that a mistyped name does not overwrite a file of another kind.
 pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> + Clone {
     move |name| {
         let path = PathBuf::from(name);
@@ -43,14 +43,14 @@ pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> 
 /// The crop that an option names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CropChoice {
-    /// That of the model, `scene.crop`.
+    /// The model's crop, `scene.crop`.
     Auto,
-    /// This one.
+    /// The given crop.
     Given(Crop),
 }
 
 impl CropChoice {
-    /// The crop of a model of this configuration, in its coordinates; one that is given has those of the photographs.
+    /// The crop in the coordinates of a model with this configuration. A given crop is in the coordinates of the photographs.
     pub fn of(self, config: &Config) -> Crop {
         match self {
             Self::Auto => config.scene.crop,
@@ -58,7 +58,7 @@ impl CropChoice {
         }
     }
 
-    /// Makes this crop that of the configuration, from which a page takes it, unless it is none. True if the page opens with it.
+    /// Sets the crop in the configuration, where pages read it, unless the crop is none. True if a page should initially show the crop.
     pub fn opens(self, config: &mut Config) -> bool {
         let crop = self.of(config);
         let any = crop != Crop::None;

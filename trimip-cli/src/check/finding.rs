@@ -1,4 +1,4 @@
-//! What a case finds, the errors that it measures, and what it is given.
+//! The result of a case, the error measures of the cases, and the types of their arguments.
 
 use trimip::Result;
 
@@ -24,7 +24,7 @@ impl Finding {
     }
 }
 
-/// The largest of the errors; NaN if one of them is.
+/// The largest of the errors; NaN if one of them is NaN.
 pub fn worst(errors: impl IntoIterator<Item = f64>) -> f64 {
     errors.into_iter().fold(0.0, |most, error| if error.is_nan() || error > most { error } else { most })
 }

@@ -116,7 +116,7 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Camera rays against f64.
+/// Camera rays, compared with f64.
 fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut rig = Rig::new(make, &small())?;
     let mut cases: Vec<(String, Intrinsics)> = [0.001_f64, 0.1, 40.0, 120.0, 179.0]
@@ -153,7 +153,7 @@ fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Steps along the diagonal of a box: few enough for a long one, and enough to detect a lost position.
+/// Steps along the diagonal of a box: few enough to render a long box, enough to detect a lost position.
 const STEPS: u32 = 2048;
 
 /// Boxes of all sizes and shapes, filled with one medium whose upper half along an axis is empty. A ray along the axis

@@ -1,5 +1,5 @@
-//! Hybrid rendering against volume rendering of the same model: a ball of one density σ = 1/e, in boxes of which the size
-//! makes it thin fog or a solid.
+//! Hybrid rendering, compared with volume rendering of the same model: a ball of constant density σ = 1/e, in boxes whose size makes the
+//! ball thin fog or a solid.
 
 use super::finding::{Finding, Make, Tell, apart, worst};
 use super::rig::small;
@@ -11,13 +11,13 @@ use trimip_core::field::model::Model;
 use trimip_core::field::tensors::{Tensor, TensorFile};
 use trimip_core::{Backend, Camera, Config, Frame, Intrinsics, Layout, Result, Viewer, math::bits};
 
-/// Density of a field whose planes are zero.
+/// Density of a field whose planes are all zero.
 const DENSITY: f64 = 0.367_879_441_171_442_33;
 
 /// Radius of the ball in boxes of half-width 1.
 const RADIUS: f64 = 0.7;
 
-/// A ball in a box of this half-width: the occupied cells are those whose middle lies within it.
+/// A ball in a box of half-width `half`: cells whose centre lies in the ball are occupied.
 fn ball(half: f32) -> Model {
     let mut config = small();
     (config.scene.aabb_min, config.scene.aabb_max) = ([-half; 3], [half; 3]);
@@ -59,7 +59,7 @@ fn difference(a: &Frame, b: &Frame) -> f64 {
     worst(a.pixels.iter().zip(&b.pixels).map(|(a, b)| apart(a.opacity, b.opacity.into())))
 }
 
-/// Number of pixels whose colour has other bits.
+/// Number of pixels whose colour differs in any bit.
 fn changed(a: &Frame, b: &Frame) -> f64 {
     let differ = |(a, b): &(&trimip_core::Pixel, &trimip_core::Pixel)| {
         a.rgb.map(f32::to_bits) != b.rgb.map(f32::to_bits)
@@ -67,7 +67,7 @@ fn changed(a: &Frame, b: &Frame) -> f64 {
     a.pixels.iter().zip(&b.pixels).filter(differ).count() as f64
 }
 
-/// Largest difference in opacity that the rule of hybrid rendering and the lengths of both kinds of steps allow.
+/// The largest difference in opacity that the rule of hybrid rendering and the step lengths of both renderers allow.
 fn bound(config: &Config) -> f64 {
     let hybrid = 2.0 * f64::from(config.scene.aabb_max[0]) / f64::from(config.hybrid.resolution);
     let steps = f64::from(config.hybrid.step) * hybrid + f64::from(config.step_length());
@@ -96,7 +96,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let volume = picture(make, &model, Volume, &far)?;
         let hybrid = picture(make, &model, Hybrid, &far)?;
         tell(found(name, "opacity as in volume rendering", difference(&hybrid, &volume), bound(&config)));
-        // All pixels together: errors at the silhouette are of both signs.
+        // Mean over all pixels, because errors at the silhouette have both signs.
         let mean = |frame: &Frame| {
             frame.pixels.iter().map(|p| f64::from(p.opacity)).sum::<f64>() / frame.pixels.len() as f64
         };

@@ -1,4 +1,4 @@
-//! `check`: a catalogue of stiff and extreme cases for any backend, each with the law that it must satisfy.
+//! `check`: a catalogue of stiff and extreme cases for any backend. Each case has a law that it must satisfy.
 
 mod finding;
 mod geometry;
@@ -13,7 +13,7 @@ pub use finding::{Finding, Make, Tell};
 use trimip::backends::Visitor;
 use trimip::{Backend, Result};
 
-/// All cases on one backend.
+/// Runs all cases on one backend.
 pub struct Catalogue<'a> {
     /// Include the cases that take minutes.
     pub long: bool,

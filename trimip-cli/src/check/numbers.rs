@@ -1,4 +1,4 @@
-//! Numbers at the end of their range: densities, gradients and hidden units that barely fit f32 or f16, or overflow.
+//! Numbers at the limits of their range: densities, gradients and hidden units that barely fit f32 or f16, or overflow.
 
 use super::finding::{Finding, Make, Tell, not_finite, worst};
 use super::rig::{camera, hash, photographs, small};
@@ -83,7 +83,7 @@ fn gradients() -> Vec<Finding> {
                     gradient.into(),
                 );
             }
-            // Twenty steps of at most the learning rate. If squares underflow, epsilon takes their place.
+            // Twenty steps, each at most the learning rate. If squares underflow, epsilon takes their place.
             let strange = not_finite(&[x, m, v]);
             let error = if strange > 0.0 { f64::NAN } else { (f64::from(x) - wide).abs() / (20.0 * rate) };
             found(
@@ -96,8 +96,8 @@ fn gradients() -> Vec<Finding> {
         .collect()
 }
 
-/// Texels of 1e-30 before weights of 1e30: the gradients of the texels are about 1e30, those of the weights about
-/// 1e-30. A gradient whose second moment overflows leaves its parameter and its moments unchanged, and is counted.
+/// Texels of 1e-30 multiplied by weights of 1e30: the texels' gradients are about 1e30, those of the weights about 1e-30. A gradient whose
+/// second moment overflows leaves its parameter and its moments unchanged, and is counted.
 fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);

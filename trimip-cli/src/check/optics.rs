@@ -10,10 +10,10 @@ use trimip_core::{Backend, Result};
 /// Length of a sample in these cases: a typical step.
 const LENGTH: f32 = 1.0 / 256.0;
 
-/// Several roundings of f32.
+/// Tolerance of several f32 roundings.
 const ROUNDING: f64 = 1e-6;
 
-/// A driver's exp and a seven-term series against the exact exp_m1.
+/// Tolerance of a driver's exp and a seven-term series, relative to the exact exp_m1.
 const EXPONENTIAL: f64 = 5e-6;
 
 type Sample = (Interval, Radiance);
@@ -51,7 +51,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         worst(pixels.iter().map(|p| (f64::from(p.opacity) - 1.0).max(-f64::from(p.opacity)))),
         0.0,
     ));
-    // White before white: no density changes the pixel. Before black, its derivative is e^-x times the length.
+    // White in front of white: no density changes the pixel. In front of black, the derivative is e^-x times the length.
     let background = small().data.background.map(f64::from);
     let expected = |ray: &Vec<Sample>| {
         let x = depth(&ray[0]);
@@ -67,7 +67,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         4.0 * ROUNDING,
     ));
 
-    // Many samples of one medium: total depth 1 for any subdivision.
+    // Many samples of one medium, with a total depth of 1 for any subdivision.
     for count in [1_usize, 10, 1000, rig.backend.longest_ray().min(100_000)] {
         let ray: Vec<Sample> = (0..count).map(|i| sample(i, 1.0 / count as f64, [0.25, 0.5, 1.0])).collect();
         let total: f64 = ray.iter().map(depth).sum();
@@ -98,7 +98,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             .collect(),
         // Vacuum and wall alternate, beginning with vacuum.
         (0..40).map(|i| sample(i, if i % 2 == 1 { 1e9 } else { 0.0 }, [i as f32 / 40.0; 3])).collect(),
-        // A haze before a wall, and hidden samples behind it.
+        // A haze in front of a wall, and hidden samples behind it.
         (0..400)
             .map(|i| sample(i, if i == 300 { 1e12 } else { 1e-6 }, [0.5, 0.1, i as f32 / 400.0]))
             .collect(),

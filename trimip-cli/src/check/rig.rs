@@ -51,7 +51,7 @@ impl<B: Backend> Rig<B> {
         self.workspace.rays.place(&self.backend, rays);
     }
 
-    /// Composites rays of given samples, and backpropagates the gradient `by_pixel` of every pixel to them.
+    /// Composites rays of given samples, and backpropagates the gradient `by_pixel` of every pixel to the samples.
     pub fn composite(
         &mut self,
         rays: &[Vec<(Interval, Radiance)>],

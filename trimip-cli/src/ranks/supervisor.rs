@@ -1,6 +1,6 @@
-//! The process that a launcher starts for a rank starts the program again, and that is the rank: a rank that is killed, by the
-//! system that has no memory left or by a crash in a library, is then told as any other error. A launcher alone would end with
-//! 128 + the signal. A pipe ties the two: a byte in it asks the rank to stop, its end ends the rank.
+//! The guard of a rank. The process that a launcher starts for a rank starts this program once more, and that second process is the rank.
+//! If the rank is killed, because memory ran out or a library crashed, its guard reports that like any other error; a launcher would only
+//! end with 128 + the signal. A pipe connects the two: a byte in it asks the rank to stop, its end ends the rank.
 
 use crate::{interrupt, terminal};
 use std::io::{Read, Write};
@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::{Error, Result};
 
-/// Set in the environment of a rank.
+/// Environment variable that is set for a rank.
 const GUARDED: &str = "TRIMIP_RANK_IS_GUARDED";
 
 /// Exit code of a rank that was killed.
@@ -18,11 +18,11 @@ const KILLED: u8 = 3;
 /// How a rank ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
-    /// With this exit code.
+    /// The rank ended with this exit code.
     Code(u8),
-    /// By a signal that asks to stop, before it could heed it.
+    /// A signal that asks to stop ended the rank before the rank could react.
     Stopped,
-    /// By another signal, or as a crash ends a process.
+    /// Another signal or a crash ended the rank.
     Killed,
 }
 
@@ -40,7 +40,7 @@ impl End {
     }
 }
 
-/// True in a rank; false in the process that a launcher started.
+/// True in a rank; false in its guard.
 pub fn is_there() -> bool {
     std::env::var_os(GUARDED).is_some()
 }
@@ -55,12 +55,12 @@ pub fn watch() -> Result<u8> {
         let tie = Arc::clone(&tie);
         move || {
             if let Some(tie) = &mut *tie.lock().unwrap_or_else(PoisonError::into_inner) {
-                // A rank that has ended needs no word.
+                // The write fails if the rank has ended, which needs no message.
                 let _ = tie.write_all(b".");
             }
         }
     };
-    // Some launchers signal all processes of a rank, others only this one.
+    // Some launchers signal all processes of a rank, others only the guard.
     let signalled = interrupt::outlive(ask.clone())?;
     let cannot = |error| Error::device(format!("cannot start the process of a rank: {error}"));
     let mut process = std::env::current_exe()
@@ -81,7 +81,7 @@ pub fn watch() -> Result<u8> {
     Ok(match End::of(status) {
         End::Code(code) => code,
         End::Stopped => interrupt::EXIT_CODE,
-        // A launcher that has asked a rank to stop kills it after a while.
+        // A launcher that has asked a rank to stop kills the rank after a while.
         End::Killed if signalled.load(Ordering::SeqCst) => {
             terminal::aside(format!("warning: rank {rank} was killed while it stopped ({status})"));
             KILLED
@@ -96,7 +96,8 @@ pub fn watch() -> Result<u8> {
     })
 }
 
-/// Stops this rank when its guard says so, and ends it when its guard is gone: a launcher kills the process that it knows.
+/// Stops this rank when its guard sends a byte, and ends it when the guard is gone: a launcher only kills the guard, the process that it
+/// started.
 ///
 /// # Errors
 /// When no thread can be started.

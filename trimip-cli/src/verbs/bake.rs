@@ -1,4 +1,4 @@
-//! `bake`: computes the proxy of a model and writes it into the model file, which is rendered by it from then on.
+//! `bake`: computes the proxy of a model and writes it to the model file. Hybrid rendering with the proxy then becomes the default.
 
 use crate::{args::BakeArguments, interrupt, progress::bar, terminal};
 use std::sync::atomic::Ordering;
@@ -8,10 +8,10 @@ use trimip_core::config::RendererKind;
 use trimip_core::engine::proxy::{Baking, bake};
 use trimip_core::field::model::Model;
 
-/// Steps of the bar.
+/// Number of steps of the bar.
 const BAR: u64 = 1000;
 
-/// Writes a model with its proxy.
+/// Computes the proxy and writes the model with it.
 pub fn run(arguments: &BakeArguments) -> Result<u8> {
     run_folder::expect_any(&arguments.model)?;
     let folder = arguments.model.is_dir().then(|| run_folder::RunFolder::new(&arguments.model));
@@ -23,7 +23,7 @@ pub fn run(arguments: &BakeArguments) -> Result<u8> {
             "train to the end first, or name a model file",
         ));
     }
-    // A run that goes on meanwhile would lose its model to this one.
+    // A run that trains meanwhile would have its model overwritten.
     let _held = folder.filter(|_| arguments.out.is_none()).map(|folder| folder.lock()).transpose()?;
     let mut model = Model::read(&path)?;
     settings::override_model(&mut model, &arguments.set)?;

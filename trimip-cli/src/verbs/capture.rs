@@ -1,4 +1,4 @@
-//! `capture`: a scene of a film or of photographs without cameras; then, if asked, a model of it, a film and a page.
+//! `capture`: makes a scene from a film or from photographs without cameras; with `--train`, also a model of it, a film and a page.
 
 use super::{export, render, train};
 use crate::{
@@ -11,14 +11,14 @@ use std::path::Path;
 use trimip::{Error, Result, backends};
 use trimip_capture::{Captured, Event, programs, quoted, quoted_path};
 
-/// Frames of the film, and its longest side, pixels.
+/// Number of frames of the film, and their longest side in pixels.
 const FRAMES: u32 = 120;
 const LONGEST: u32 = 640;
 
-/// The page's program, where `tools/web.sh` puts it.
+/// The page's program, as built by `tools/web.sh`.
 const PAGE: &str = "target/web/trimip_web.js";
 
-/// Captures, and trains on it if asked.
+/// Captures and, with `--train`, trains on the scene.
 pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     if let Some(minutes) = arguments.minutes.filter(|minutes| !(minutes.is_finite() && *minutes > 0.0)) {
         return Err(Error::input(format!("--minutes {minutes}"), "is no time", "give a number above 0"));
@@ -61,7 +61,7 @@ pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     show(&captured)
 }
 
-/// A film along the cameras and a page of the model that was trained, as far as their programs are there.
+/// Writes a film along the cameras and a page of the trained model, if the programs that these need are there.
 fn show(captured: &Captured) -> Result<u8> {
     let run = settings::default_folder(None, Some(&captured.root), None);
     let (run_name, film) = (path_of(&run), path_of(&run.join("flythrough.mp4")));
@@ -89,7 +89,7 @@ fn show(captured: &Captured) -> Result<u8> {
     Ok(0)
 }
 
-/// Tells a command and does what it would do.
+/// Prints a command and runs it in this process.
 fn command(words: &[String]) -> Result<u8> {
     let told: Vec<String> = words.iter().map(|word| quoted(word)).collect();
     terminal::aside(format!("trimip-cli {}", told.join(" ")));
@@ -103,7 +103,7 @@ fn command(words: &[String]) -> Result<u8> {
     }
 }
 
-/// A path as an argument that is no option.
+/// A path as an argument that cannot be read as an option.
 fn path_of(path: &Path) -> String {
     let plain = path.display().to_string();
     if plain.starts_with('-') { format!("./{plain}") } else { plain }

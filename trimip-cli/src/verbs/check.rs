@@ -22,7 +22,7 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
         terminal::line(row(["part", "backend", "case", "law"], &format!("{worst:>10} {bound:>10}")));
     }
     for name in &chosen {
-        // Cases of a software adapter take seconds each: something moves from the first on.
+        // Cases take seconds each on a software adapter; the spinner shows that the program works.
         let bar = spinner();
         bar.set_message(name.clone());
         let mut tell = |finding: Finding| {
@@ -50,7 +50,7 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
         let cases: Vec<_> = all
             .iter()
             .map(|(backend, f)| {
-                // JSON has no infinity.
+                // JSON has no infinity and no NaN.
                 let worst = if f.worst.is_finite() { json!(f.worst) } else { json!(f.worst.to_string()) };
                 json!({ "part": f.part, "case": f.case, "backend": backend, "law": f.law, "worst": worst, "bound": f.bound, "holds": f.holds() })
             })
@@ -74,7 +74,7 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
     }
 }
 
-/// A line of the table that no terminal is wide enough for.
+/// A line of the table for output that is not a terminal; it is wider than any terminal.
 fn row([part, backend, case, law]: [&str; 4], numbers: &str) -> String {
     format!("{part:<9} {backend:<8} {case:<46} {law:<62} {numbers}")
 }

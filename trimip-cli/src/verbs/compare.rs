@@ -1,5 +1,5 @@
-//! `compare`: curves of error against time, from run folders or CSV files of other programs. Prints a table of the
-//! times at which each reaches given PSNRs, and writes a plot and a page with the pictures of the runs.
+//! `compare`: curves of error against time, from run folders or CSV files of other programs. Prints a table with the time at which each
+//! curve reaches given PSNRs, and writes a plot and a page with the pictures of the runs.
 
 use crate::args::CompareArguments;
 use crate::curves::{Curve, rows, table};

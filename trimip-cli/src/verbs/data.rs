@@ -39,7 +39,7 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
 fn with_root(arguments: &SettingsArguments, root: Option<&Path>) -> Result<(Settings, Config)> {
     let (mut given, _) = settings::load(arguments)?;
     if let Some(root) = root {
-        // What does not exist is told when it is opened: here it cannot be a mistyped verb.
+        // A missing folder is reported when it is opened, because here it cannot be a mistyped verb.
         let root = match root.exists() {
             true => settings::scene_root(root)?,
             false => root.display().to_string(),

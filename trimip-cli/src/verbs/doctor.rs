@@ -34,7 +34,7 @@ pub fn run() -> Result<u8> {
     Ok(0)
 }
 
-/// The measures of this build, and how to get those that it lacks.
+/// The metrics of this build, and how to add those that it lacks.
 fn measures() -> String {
     let flip = if cfg!(feature = "flip") {
         "FLIP"

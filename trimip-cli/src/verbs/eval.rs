@@ -67,10 +67,10 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Does its part of [`run`] on another rank than the first.
+/// Does this rank's part of [`run`], on ranks other than 0.
 ///
 /// # Errors
-/// When the model or its test set cannot be opened here.
+/// When the model or its test set cannot be opened on this machine.
 pub fn work(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
@@ -84,7 +84,7 @@ pub fn work(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     evaluate_on_worker(viewer.as_mut(), test, &mut perceptual, &mut watch, group)
 }
 
-/// Stops when the user does.
+/// Stops rendering after the user's interrupt.
 struct Interrupted(Arc<AtomicBool>);
 
 impl Watching for Interrupted {
@@ -93,7 +93,7 @@ impl Watching for Interrupted {
     }
 }
 
-/// Advances a bar with the rendered rows.
+/// Advances a bar with the rendered rows and stops after the user's interrupt.
 struct OnBar<'a> {
     bar: &'a ProgressBar,
     stop: &'a AtomicBool,

@@ -1,4 +1,4 @@
-//! `export`: writes a model as something that other programs read.
+//! `export`: writes a model in a form that other programs read.
 
 mod web;
 
@@ -16,10 +16,10 @@ use trimip::run::{cameras::training_cameras, folder as run_folder};
 use trimip::{Crop, Result, backends, settings};
 use trimip_core::scene::origin::LocalOrigin;
 
-/// Steps of the bar.
+/// Number of steps of the bar.
 const BAR: u64 = 1000;
 
-/// Exports what the arguments name.
+/// Exports what the arguments select.
 pub fn run(arguments: &ExportArguments) -> Result<u8> {
     match &arguments.what {
         ExportWhat::Mesh(arguments) => export_mesh(arguments),
@@ -35,7 +35,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     settings::override_model(&mut model, &arguments.set)?;
     backends::check(&model.config.backend)?;
     let origin = LocalOrigin::of(&model.config.data);
-    // Opened first: a missing data set is told before the work, not after it.
+    // The data set is opened first, so that its absence is reported before the work.
     let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
         Err(error) if arguments.silhouettes.is_some() => return Err(error),
@@ -108,13 +108,13 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// `mesh.ply` in the run folder, or beside the model file.
+/// `mesh.ply` in the run folder, or next to the model file.
 fn beside(model: &std::path::Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or("".as_ref()) };
     folder.join("mesh.ply")
 }
 
-/// What was extracted, and how.
+/// Describes what was extracted, and how.
 fn describe(extracted: &Extracted, crop: Crop, seconds: f64) -> Vec<String> {
     let Extracted { mesh, level, spacing, removed, unseen, triangles } = extracted;
     let defects = mesh.defects();

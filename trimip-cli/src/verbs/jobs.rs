@@ -1,4 +1,4 @@
-//! Trainings of `bench` and `paper` as jobs, which ranks take as they come free.
+//! Trainings of `bench` and `paper` as jobs that free ranks take.
 
 use crate::{interrupt, terminal};
 use serde::{Deserialize, Serialize};
@@ -12,15 +12,15 @@ use trimip_data::settings::DataConfig;
 /// How a job ended.
 #[derive(Serialize, Deserialize)]
 pub enum JobEnd {
-    /// The run is trained, on these photographs; `None` if it was before.
+    /// The run is trained, on these photographs; `None` if it was trained already.
     Trained(Option<Fingerprint>),
-    /// The user stopped it.
+    /// The user stopped the run.
     Stopped,
-    /// It failed, for this reason.
+    /// The run failed, with this reason.
     Failed(String),
 }
 
-/// Trains without a word, as one job of several; the other ranks of this machine do the same.
+/// Trains silently, as one job of several; the other ranks of this machine train their own jobs at the same time.
 pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
     let quietly = |training: Training| {
         let stop = interrupt::install()?;
@@ -39,12 +39,11 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
     }
 }
 
-/// Trains runs on all ranks, of which this is rank 0: a rank that is free takes the next one. A run that fails is left to the
-/// caller, who finds it unfinished. `what` describes the runs, `data` the data set of one. Returns false if the user stopped it
-/// on any rank.
+/// Trains runs on all ranks, called on rank 0: each free rank takes the next run. A run that fails is left unfinished, for the caller to
+/// find. `what` describes the runs, `data` gives the data set of a run. Returns false if the user stopped it on any rank.
 ///
 /// # Errors
-/// When another rank is gone, or two runs on one data set had different photographs.
+/// When another rank is gone, or two runs on one data set used different photographs.
 pub fn spread(
     ranks: &dyn Ranks,
     what: &str,
@@ -74,7 +73,7 @@ pub fn spread(
                     expect_one(&seen)?;
                 }
                 JobEnd::Failed(reason) => told(format!("failed: {reason}")),
-                // A rank that is stopped alone would end every run at once.
+                // No more jobs are handed out: a rank whose user stopped it would end each of them at once.
                 JobEnd::Stopped => whole = false,
             }
             Ok(whole && going())
@@ -83,7 +82,7 @@ pub fn spread(
     Ok(whole && going())
 }
 
-/// What a run was trained on.
+/// The data that a run was trained on.
 struct RunData {
     folder: PathBuf,
     /// The settings of its data set.
@@ -91,7 +90,7 @@ struct RunData {
     views: Fingerprint,
 }
 
-/// Refuses the last of these runs if an earlier one on its data set had other photographs.
+/// Refuses the last of these runs if an earlier one on the same data set used other photographs.
 fn expect_one(seen: &[RunData]) -> Result<()> {
     let Some((last, earlier)) = seen.split_last() else { return Ok(()) };
     let same = earlier.iter().filter(|run| run.data == last.data);

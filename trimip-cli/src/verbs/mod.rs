@@ -32,10 +32,10 @@ nothing to train on; type one of
   trimip-cli --config configs/quickstart.toml   the built-in scene, nothing to download
   trimip-cli --help                             every verb and option";
 
-/// Does its part of a verb's jobs on another rank than the first.
+/// Does this rank's part of a verb's jobs, on ranks other than 0.
 ///
 /// # Errors
-/// When it cannot do them.
+/// When the verb has no jobs, or its jobs fail.
 pub fn work(arguments: &Arguments, ranks: &dyn Ranks) -> Result<()> {
     match &arguments.verb {
         Some(Verb::Eval(eval)) => eval::work(eval, ranks),

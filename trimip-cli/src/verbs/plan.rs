@@ -1,5 +1,6 @@
-//! `plan`: the parts of a scene that are not needed, and why. With `--measure`, what leaving them out costs in dB and
-//! saves in seconds and bytes, each decision on top of the previous ones, at equal samples, on held-out training views.
+//! `plan`: lists the parts that a scene does not need, and why. With `--measure`, it also measures what leaving them out costs in dB and
+//! saves in seconds and bytes. Each run adds one decision to the previous ones, with equally many samples, and is measured on held-out
+//! training views.
 
 use crate::args::PlanArguments;
 use crate::curves::aligned;
@@ -15,16 +16,16 @@ use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::scene_plan::{self, Facts, Finding};
 use trimip_core::{Config, Error, Result, ViewSet, atomic::write_atomically};
 
-/// Number of held-out training views to measure on.
+/// Number of held-out training views that are measured.
 const KEPT_BACK: usize = 4;
 
-/// The decision that only a training run can make: the colour network without directions.
+/// The decision that needs a training run: whether the colour network can do without directions.
 const BLIND: &str = "directions";
 
 /// Change of PSNR in dB that is inconclusive for directions even if the seeds agree.
 const CHANCE: f64 = 0.05;
 
-/// Prints a line for every decision, and measures them if requested.
+/// Prints a line per decision and, with `--measure`, measures them.
 pub fn run(arguments: &PlanArguments) -> Result<u8> {
     let Planned { scene, findings, config: planned, warnings } = Planned::of(arguments, Rank::ONLY)?;
     terminal::line(format!("scene plan of {}", scene.name));
@@ -58,10 +59,10 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Does its part of the runs of [`run`] on another rank than the first.
+/// Does this rank's part of the runs of [`run`], on ranks other than 0.
 ///
 /// # Errors
-/// When the scene cannot be opened here.
+/// When the scene cannot be opened on this machine.
 pub fn work(arguments: &PlanArguments, ranks: &dyn Ranks) -> Result<()> {
     let Planned { scene, findings, config, .. } = Planned::of(arguments, ranks.on_machine())?;
     let bench = bench(arguments, &config, &scene.train, &findings)?;
@@ -97,8 +98,8 @@ impl Planned {
     }
 }
 
-/// The runs to compare: brief, at equal samples, evaluated at their end on held-out training views. The first leaves
-/// nothing out; each further run adds one decision that leaves something out.
+/// The runs to compare: brief, with equally many samples, evaluated at their end on held-out training views. The first leaves nothing out;
+/// each further run leaves out one more part.
 fn bench(
     arguments: &PlanArguments,
     planned: &Config,
@@ -152,7 +153,7 @@ fn bench(
     })
 }
 
-/// Cost and savings of one more decision.
+/// Cost and savings of a further decision.
 #[derive(Debug, Serialize)]
 struct Effect {
     plan: String,
@@ -162,7 +163,7 @@ struct Effect {
     /// Spread between seeds, the larger of the two compared runs, dB.
     psnr_spread: f64,
     seconds: f64,
-    /// Fraction of the first run's seconds.
+    /// Time as a fraction of the first run's.
     seconds_share: f64,
     model_bytes: f64,
 }
@@ -186,7 +187,7 @@ fn effects(rows: &[VariantRow]) -> Vec<Effect> {
         .collect()
 }
 
-/// Conclusion of the runs on directions.
+/// Conclusion about the directions.
 struct Verdict {
     /// `None` if the change is not larger than the spread between seeds.
     needed: Option<bool>,

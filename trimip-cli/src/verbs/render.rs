@@ -1,4 +1,4 @@
-//! `render`: renders views of a model as pictures, from test views, a pose, a camera path, a turntable or a flythrough.
+//! `render`: renders views of a model as pictures, from test views, a pose, a target, a camera path, a turntable or a flythrough.
 
 use super::{
     selection::{beside, chosen, is_film, resize},
@@ -20,7 +20,7 @@ use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
 use trimip::{Camera, Config, Crop, Error, Result, Viewer, backends, model::Model, settings, view};
 use trimip_core::{engine::exchange::Ranks, scene::origin::LocalOrigin};
 
-/// Refuses the folder of a run: the cameras of its photographs have the name that those of pictures have.
+/// Refuses the folder of a run, whose file of the photographs' cameras has the same name as the file of the pictures' cameras.
 fn expect_no_run(out: &Path) -> Result<()> {
     let folder = RunFolder::new(out);
     match folder.is_ours() {
@@ -54,7 +54,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     expect_no_run(out)?;
     view::expect_no_others(out, cameras, what, *format)?;
     run_folder::create_writable(out)?;
-    // Single views are quick; many go on where an interrupted command stopped.
+    // A film's job records its finished views, so that an interrupted command can be resumed. Single views are quick and have no job.
     let mut job = match is_film(arguments) {
         true => Some(RenderJob::open(out, model, cameras, what, *format, arguments.fresh)?),
         false => None,
@@ -94,7 +94,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         Ok(!stop.load(Ordering::Relaxed))
     };
     match ranks::all() {
-        // The jobs of other ranks are numbers of views.
+        // The jobs of other ranks are indices of views.
         Some(all) => {
             scatter_jobs(&*all, &request.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?
         }
@@ -128,10 +128,10 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Does its part of [`run`] on another rank than the first.
+/// Does this rank's part of [`run`], on ranks other than 0.
 ///
 /// # Errors
-/// When the model cannot be opened here.
+/// When the model cannot be opened on this machine.
 pub fn work(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     let request = RenderRequest::of(arguments)?;
     let mut session = backends::load_beside(&request.model, ranks.on_machine())?;
@@ -141,12 +141,12 @@ pub fn work(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     work_on_jobs(ranks, &request.digest()?, |view| request.draw(session.as_mut(), view, &mut going))
 }
 
-/// The parts of the world that pictures of this configuration are confined to.
+/// The crop of the pictures, as a list; empty if there is none.
 fn parts(config: &Config) -> Vec<Crop> {
     Some(config.scene.crop).filter(|crop| *crop != Crop::None).into_iter().collect()
 }
 
-/// What is rendered, and how.
+/// What to render, and how.
 struct RenderRequest {
     model: Model,
     cameras: Vec<Named>,
@@ -155,11 +155,11 @@ struct RenderRequest {
     out: PathBuf,
 }
 
-/// The pictures of a view.
+/// The written pictures of a view.
 #[derive(Serialize, Deserialize)]
 struct RenderedView {
     paths: Vec<PathBuf>,
-    /// Seconds of rendering.
+    /// Rendering time, seconds.
     took: f64,
 }
 
@@ -177,7 +177,7 @@ impl RenderRequest {
         }
         let mut model = run_folder::read_model(&arguments.model)?;
         settings::override_model(&mut model, &arguments.set)?;
-        // Pictures of another crop are another job.
+        // The crop is part of the job: pictures of another crop are rendered again.
         model.config.scene.crop = arguments.crop.of(&model.config);
         backends::check(&model.config.backend)?;
         let cameras = resize(chosen(arguments, &model.config)?, arguments.scale)?;
@@ -185,13 +185,13 @@ impl RenderRequest {
         Ok(Self { model, cameras, what, format, out })
     }
 
-    /// The same on every rank that has the same work.
+    /// A digest that is equal on all ranks with the same work.
     fn digest(&self) -> Result<String> {
         let Self { model, cameras, what, format, out } = self;
         Ok(digest([model.hash()?.to_string(), format!("{cameras:?} {what:?} {format:?} {out:?}")]))
     }
 
-    /// Renders a view and writes its pictures; `None` if `watch` stopped it.
+    /// Renders a view and writes its pictures. Returns `None` if `watch` stopped it.
     fn draw(
         &self,
         session: &mut dyn Viewer,
@@ -209,7 +209,7 @@ impl RenderRequest {
     }
 }
 
-/// Fails before the work if a video could not be written after it.
+/// Fails before rendering if the video could not be written afterwards.
 fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], cameras: &[Named]) -> Result<()> {
     let refuse =
         |what: &str, expected: &str| Err(Error::input(format!("--video {}", path.display()), what, expected));
@@ -235,7 +235,7 @@ fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], came
     video::check(path)
 }
 
-/// Rendering speed of the views, without writing files.
+/// Summarises the rendering speed of the views, without the time of writing files.
 fn speed(mut seconds: Vec<f64>) -> Option<String> {
     seconds.sort_by(f64::total_cmp);
     let median = *seconds.get(seconds.len() / 2)?;

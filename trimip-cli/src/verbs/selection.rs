@@ -8,24 +8,24 @@ use trimip::view::{Named, cameras::resized, flythrough, turntable, turntable::Tu
 use trimip::{Camera, Config, Error, Intrinsics, Result, view};
 use trimip_core::scene::origin::LocalOrigin;
 
-/// Width and height of pictures in pixels, for cameras without.
+/// Default width and height of pictures, pixels.
 const SIDE: u32 = 800;
 
-/// Horizontal field of view in degrees, for cameras without: that of the Blender scenes.
+/// Default horizontal field of view, degrees: that of the Blender scenes.
 const FOV: f64 = 39.597_758_2;
 
-/// Whether the pictures follow one another.
+/// True if the pictures follow one another as a film.
 pub fn is_film(arguments: &RenderArguments) -> bool {
     arguments.path.is_some() || arguments.turntable.is_some() || arguments.flythrough.is_some()
 }
 
-/// `renders` in the run folder, or beside the model file.
+/// `renders` in the run folder, or next to the model file.
 pub fn beside(model: &Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or(Path::new("")) };
     folder.join("renders")
 }
 
-/// The cameras that the arguments select, in the coordinates of the model. What the arguments state has those of the photographs.
+/// The cameras that the arguments select, in the coordinates of the model. Arguments are in the coordinates of the photographs.
 pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>> {
     if let Some(fov) = arguments.fov
         && !(fov > 0.0 && fov < 180.0)
@@ -74,10 +74,10 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
     test_views(config, &arguments.views)
 }
 
-/// The training cameras: those of the data set, or, if it is not there, those that the run folder keeps.
+/// The training cameras: from the data set or, if that is missing, from the run folder.
 ///
 /// # Errors
-/// When neither is there.
+/// When neither has cameras.
 pub fn photographed(model: &Path, config: &Config) -> Result<Vec<Camera>> {
     let missing = match trimip_data::open_test(&config.section()?) {
         Ok(data) => return Ok(data.train),
@@ -86,7 +86,7 @@ pub fn photographed(model: &Path, config: &Config) -> Result<Vec<Camera>> {
     training_cameras(model, LocalOrigin::of(&config.data))?.ok_or(missing)
 }
 
-/// The projection of `--width`, `--height` and `--fov` with square pixels; what is not given is that of `like`.
+/// Intrinsics from `--width`, `--height` and `--fov`; without these, the aspect ratio and the horizontal field of view are those of `like`.
 fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
     let RenderArguments { width, height, fov, .. } = *arguments;
     if (width, height, fov) == (None, None, None) {
@@ -105,14 +105,14 @@ fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
     Intrinsics::from_angle(width, height, angle)
 }
 
-/// The first test view that the arguments select, or view 0; `None` if they select another camera.
+/// Index of the first test view that the arguments select, or 0; `None` if they select another camera.
 pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
     let RenderArguments { pose, look_at, views, .. } = arguments;
     let other = pose.is_some() || look_at.is_some() || is_film(arguments);
     (!other).then(|| views.first().copied().unwrap_or(0))
 }
 
-/// Cameras of test views at full size; view 0 if `views` is empty.
+/// Cameras of test views at full size, those of view 0 if `views` is empty.
 fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
     let frames = trimip_data::open_test(&config.section()?)?.frames;
     let views = if views.is_empty() { &[0] } else { views };
@@ -139,7 +139,7 @@ fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
         .collect()
 }
 
-/// The same views with `factor` times as many pixels along each side.
+/// Scales the pixels along each side of the views by `factor`.
 pub fn resize(cameras: Vec<Named>, factor: f64) -> Result<Vec<Named>> {
     cameras
         .into_iter()

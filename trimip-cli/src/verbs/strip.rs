@@ -1,5 +1,5 @@
-//! `render --strip`: one camera at increasing pixel sizes, as if from increasing distance, with every picture enlarged
-//! to one size. One row per model, the original below if there is one, and the PSNR of every picture against it in dB.
+//! `render --strip`: one camera at increasing pixel sizes, as if from increasing distance. All pictures are enlarged to one size. There is
+//! one row per model, and the original below if there is one; then the PSNR of every picture against the original is printed, in dB.
 
 use super::selection;
 use crate::{args::RenderArguments, interrupt, terminal};
@@ -119,7 +119,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
 }
 
 impl Picture {
-    /// Resamples the view: each new pixel is the mean over its area.
+    /// Resamples the picture: each new pixel is the mean over its area.
     fn averaged(&self, width: u32, height: u32) -> Self {
         let (across, down) = (fractions(self.width, width), fractions(self.height, height));
         let mut rgb = Vec::with_capacity(width as usize * height as usize);
@@ -139,7 +139,7 @@ impl Picture {
     }
 }
 
-/// For each of `to` equal parts of a side: the indices of the `from` pixels it covers, and the fraction of each.
+/// For each of `to` equal parts of a side: the indices of the `from` pixels that it covers, and the fraction of each.
 fn fractions(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let size = f64::from(from) / f64::from(to);
     let part = |i: u32| {
@@ -151,7 +151,7 @@ fn fractions(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     (0..to).map(part).collect()
 }
 
-/// All pictures, enlarged without smoothing to the size of the first.
+/// All pictures in a grid, enlarged without smoothing to the size of the first.
 fn sheet(width: u32, height: u32, rows: &[(String, Vec<Picture>)]) -> Result<RgbImage> {
     let side = |size: u32, count: usize| count as u32 * (size + GAP) - GAP;
     let white = image::Rgb([255; 3]);

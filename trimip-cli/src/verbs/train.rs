@@ -43,7 +43,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     conclude(&trained, arguments.progress)
 }
 
-/// Continues the finished run of a folder for `time`.
+/// Extends the finished run of a folder by `time`.
 fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Training> {
     let seconds = settings::duration("--continue-for", time)?;
     let mut sets = Vec::new();
@@ -54,7 +54,7 @@ fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Trai
     Ok(Training::extend(root, seconds, sets))
 }
 
-/// Prints the address at which a browser shows the run of a folder.
+/// Binds the live view of a run folder and prints its address.
 fn watched(root: &Path, port: u16) -> Result<LiveView> {
     let name = root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned());
     let at = SocketAddr::new(Ipv4Addr::LOCALHOST.into(), port);
@@ -71,7 +71,7 @@ pub fn train(training: Training, style: ProgressStyle) -> Result<Trained> {
     train_before(None, training, &Display::new(style, false))
 }
 
-/// As [`train`], shown by `display` and, if there is one, in a browser.
+/// Like [`train`], with progress on `display` and, if there is one, in a live view.
 fn train_before(live_view: Option<LiveView>, training: Training, display: &Display) -> Result<Trained> {
     let stop = interrupt::install()?;
     let mut nobody = ();
@@ -98,10 +98,10 @@ fn train_before(live_view: Option<LiveView>, training: Training, display: &Displ
     trained
 }
 
-/// Writes the report for any outcome, then returns the exit code.
+/// Writes the report, whatever the outcome, and returns the exit code.
 ///
 /// # Errors
-/// When the training failed, missed its quality floor, or could not be written.
+/// When the training failed or missed its quality floor, or when its results could not be written.
 pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let recorded = Recorded::of(trained);
     let written = trimip_report::write(&recorded);
@@ -130,8 +130,8 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
-/// Tells that the folder already held this run. The caller has written its report again: an earlier stop or another floor may have
-/// left a different one.
+/// Reports that the folder already holds this run. The caller has rewritten the report, because an earlier stop or another quality floor
+/// may have left a different one.
 fn already_finished(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let finished = vec![format!(
         "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",

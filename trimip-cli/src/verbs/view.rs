@@ -9,7 +9,7 @@ use trimip::backends;
 use trimip_core::Result;
 use trimip_view::{Listener, Scene, Server};
 
-/// How often the program looks whether it should end.
+/// Interval at which the program polls for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Opens the model and serves it.

@@ -7,8 +7,8 @@
 >>> frame.color.shape
 (800, 800, 3)
 
-Poses are camera-to-world matrices with OpenGL axes: x right, y up, the camera looks along -z. Lengths are units of the world
-of the photographs, angles degrees. Settings are those of ``trimip-cli config --defaults``, as ``{"section.key": value}``.
+Poses are camera-to-world matrices with OpenGL axes: x right, y up, and the camera looks along -z. Lengths are in units of the
+photographs' world, angles in degrees. Settings are those of ``trimip-cli config --defaults``, as ``{"section.key": value}``.
 """
 
 from . import nerfstudio

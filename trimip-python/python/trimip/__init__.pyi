@@ -15,7 +15,7 @@ Settings = dict[str, Any]
 Split = Literal["train", "test"]
 
 class Error(Exception):
-    """Any error of trimip: one line with what, where and what to do."""
+    """Any error of trimip. Its text is one line: where, what, and what to do about it."""
 
 class InputError(Error):
     """A file, a setting or an argument is wrong."""
@@ -27,7 +27,7 @@ class DeviceError(Error):
     """The device is missing, too small or lost."""
 
 class Camera:
-    """A camera: a pose in the world, the size of a picture, and a projection."""
+    """A camera: a pose in the world, a picture size, and a projection."""
 
     def __new__(
         cls,
@@ -42,7 +42,11 @@ class Camera:
         cy: float | None = None,
         lens: dict[str, Any] | None = None,
     ) -> Camera:
-        """From a camera-to-world matrix [R|t], 3×4 or 4×4, OpenGL axes; either `fov` (horizontal, degrees) or `fx` (pixels)."""
+        """Creates a camera from a camera-to-world matrix [R|t], 3×4 or 4×4, with OpenGL axes.
+
+        Give either `fov` (horizontal, degrees) or `fx` (pixels). `fy` defaults to the focal length along x, `cx` and `cy` to the middle of
+        the picture. `lens` has the keys of transforms.json (k1, k2, p1, p2, …).
+        """
     @staticmethod
     def look_at(
         eye: ArrayLike,
@@ -54,7 +58,10 @@ class Camera:
         fov: float | None = None,
         fx: float | None = None,
     ) -> Camera:
-        """A camera at `eye` that looks at `target`."""
+        """Creates a camera at `eye` that looks at `target`.
+
+        `up` is z by default. Give either `fov` (horizontal, degrees) or `fx` (pixels).
+        """
     @staticmethod
     def batch(
         poses: ArrayLike,
@@ -67,12 +74,12 @@ class Camera:
         cx: ArrayLike | None = None,
         cy: ArrayLike | None = None,
     ) -> list[Camera]:
-        """One camera for each matrix of `poses`, [N, 3|4, 4]."""
+        """Creates one camera per matrix of `poses`, [N, 3|4, 4]. The projection is one number for all cameras, or N numbers."""
     def resized(self, factor: float) -> Camera:
-        """The same view with `factor` times as many pixels along each side."""
+        """Returns the same view with `factor` times as many pixels along each side."""
     @property
     def pose(self) -> NDArray[np.float64]:
-        """Camera-to-world matrix [R|t], [3, 4], OpenGL axes."""
+        """Camera-to-world matrix [R|t], float64 [3, 4], OpenGL axes."""
     @property
     def width(self) -> int:
         """Width of the picture, pixels."""
@@ -93,85 +100,89 @@ class Camera:
         """Principal point along y, pixels."""
 
 class Scene:
-    """A data set: its cameras and its photographs."""
+    """A data set: photographs with their cameras."""
 
     def __new__(cls, root: str | PathLike[str] | None = None, settings: Settings | None = None) -> Scene:
-        """Opens the folder of a scene; `settings` are those of the section `data`."""
+        """Opens the folder of a scene; without `root`, the built-in scene, or the data that `settings` select."""
     @property
     def name(self) -> str:
-        """The name of its folder."""
+        """Name of the scene's folder, or "builtin"."""
     @property
     def warnings(self) -> list[str]:
-        """What may be wrong with the data, a line each."""
+        """Warnings about the data, one line each."""
     def count(self, split: Split = "test") -> int:
-        """Number of photographs of a split."""
+        """Returns the number of photographs of a split."""
     def cameras(self, split: Split = "test") -> list[Camera]:
-        """Cameras of a split at full size."""
+        """Returns the cameras of a split at full size."""
     def photograph(self, index: int, split: Split = "test", scale: int = 1) -> NDArray[np.float32]:
-        """A photograph on the background of the settings: [height, width, 3] in [0, 1]."""
+        """Returns a photograph, composited over the background of the settings: float32 [height, width, 3] in [0, 1]."""
     def pixels(self, index: int, split: Split = "test", scale: int = 1) -> NDArray[np.uint8]:
-        """A photograph as it is stored: RGBA, [height, width, 4]."""
+        """Returns the stored RGBA pixels of a photograph: uint8 [height, width, 4]."""
 
 class Frame:
-    """Views as arrays: one view has [height, width, …], several have [views, height, width, …]."""
+    """Rendered views as arrays: [height, width, …] for one view, [views, height, width, …] for several."""
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Writes the colours of one view as a PNG of 8 bits."""
+        """Writes the colours of a single view as an 8-bit PNG."""
     def _repr_png_(self) -> bytes | None:
-        """What a notebook shows; nothing of several views."""
+        """Returns the PNG that a notebook shows; None for several views."""
     @property
     def color(self) -> NDArray[np.float32]:
-        """RGB on the background of the model, […, 3]."""
+        """RGB over the background of the model: float32 […, 3]."""
     @property
     def opacity(self) -> NDArray[np.float32]:
-        """Opacity in [0, 1]."""
+        """Opacity in [0, 1]: float32 […]."""
     @property
     def depth(self) -> NDArray[np.float32]:
-        """Distance along the optical axis, world units; infinite where nothing is seen."""
+        """Distance along the optical axis, world units: float32 […]; infinite where nothing is seen."""
 
 class Mesh:
     """A triangle mesh of the surface."""
 
     @property
     def positions(self) -> NDArray[np.float32]:
-        """Places of the vertices, [N, 3], counted from `origin`."""
+        """Positions of the vertices relative to `origin`, world units: float32 [N, 3]."""
     @property
     def origin(self) -> list[float]:
-        """Where positions begin in the coordinates of the photographs."""
+        """Origin of `positions` in the coordinates of the photographs, three numbers."""
     @property
     def normals(self) -> NDArray[np.float32]:
-        """Normals of the vertices, [N, 3]."""
+        """Unit normals of the vertices, outward: float32 [N, 3]."""
     @property
     def colors(self) -> NDArray[np.float32]:
-        """Colours of the vertices, [N, 3] in [0, 1]."""
+        """Colours of the vertices: float32 [N, 3] in [0, 1]; [0, 3] without colours."""
     @property
     def triangles(self) -> NDArray[np.uint32]:
-        """Vertices of the triangles, [M, 3]."""
+        """Vertex indices of the triangles, counterclockwise from outside: uint32 [M, 3]."""
     @property
     def volume(self) -> float:
         """The enclosed volume, world units cubed."""
     @property
     def is_closed(self) -> bool:
-        """True if every edge has two triangles."""
+        """True if the mesh is closed, manifold and oriented."""
     def write(self, path: str | PathLike[str]) -> int:
-        """Writes PLY, OBJ or GLB, by the ending of the name; returns the number of bytes."""
+        """Writes a PLY, OBJ or GLB file, chosen by the file extension; returns its size in bytes."""
 
 class Model:
-    """A trained model on a backend. Several threads may use one; they take turns."""
+    """A trained model on a backend. Several threads may share a model; their calls take turns."""
 
     @staticmethod
     def load(path: str | PathLike[str], settings: Settings | None = None) -> Model:
-        """Loads the model of a run folder or a model file."""
+        """Loads the model of a run folder or a model file; `settings` override how it is rendered and where its photographs are."""
     def render(self, camera: Camera) -> Frame:
-        """Renders the view of a camera."""
+        """Renders one view. Its arrays have the shape [height, width, …]."""
     def render_batch(self, cameras: Sequence[Camera]) -> Frame:
-        """Renders the views of several cameras of one size."""
+        """Renders the views of cameras with one picture size. The arrays have the shape [views, height, width, …]."""
     def query(
         self, points: ArrayLike, directions: ArrayLike | None = None, radius: float | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Density per world unit, […], and colour, […, 3], at `points`, […, 3], seen along `directions` by spheres of `radius`."""
+        """Returns density, float32 […] per world unit, and colour, float32 […, 3], at `points`, […, 3].
+
+        `directions` are the viewing directions from the eye, […, 3] or a single one (default: −z); `radius` is that of the queried spheres,
+        world units (default: half a marching step).
+        """
     def features(self, points: ArrayLike, radius: float | None = None) -> NDArray[np.float32]:
-        """The encoder's features at `points`, […, 3]: […, features]."""
+        """Returns the encoder's features at `points`, […, 3]: float32 […, features]."""
     def mesh(
         self,
         resolution: int = 512,
@@ -181,53 +192,57 @@ class Model:
         specks: float = 0.02,
         colors: bool = True,
     ) -> Mesh:
-        """The surface where the density crosses `level`, simplified to about `triangles` (0: not at all)."""
+        """Extracts the surface where the density crosses `level`, simplified to about `triangles` triangles (0: all are kept).
+
+        `level` is per world unit; by default a marching step has an optical depth of 0.2. `resolution` is the number of grid cells along
+        the longest side of the box, and connected parts with a diagonal below `specks` of that side are left out.
+        """
     def evaluate(self, stride: int = 1) -> dict[str, Any]:
-        """Measures every `stride`-th test view: `scales`, `views`, `mean`, `seconds`."""
+        """Measures every `stride`-th test view; returns a dictionary with `stride`, `scales`, `mean`, `views` and `seconds`."""
     def save(self, path: str | PathLike[str]) -> int:
-        """Writes the model file; returns its size in bytes."""
+        """Writes the model file and returns its size in bytes."""
     @property
     def config(self) -> dict[str, Any]:
         """All settings, as nested dictionaries."""
     @property
     def local_origin(self) -> list[float]:
-        """Where the coordinates of `aabb` and of meshes begin in those of the photographs."""
+        """Origin of the model's own coordinates (`aabb`, mesh positions) in the coordinates of the photographs."""
     @property
     def aabb(self) -> tuple[list[float], list[float]]:
-        """The box of the scene: its two corners, counted from `local_origin`."""
+        """Lower and upper corner of the scene's box, world units, relative to `local_origin`."""
     @property
     def device(self) -> str:
-        """Backend and device."""
+        """Names of the backend and the device."""
 
 class Run:
-    """A run: its folder, how it ended, and its measures."""
+    """A training run: its folder, how it ended, and its measures."""
 
     @staticmethod
     def load(folder: str | PathLike[str]) -> Run:
-        """Opens the run of a folder, which this package or the program trained."""
+        """Opens the run of a folder that this package or trimip-cli trained."""
     @property
     def folder(self) -> Path:
         """The run folder."""
     @property
     def ended(self) -> Literal["finished", "stopped", "before"]:
-        """"before" if the folder already held the run and nothing was done."""
+        """How the run ended: "finished", "stopped", or "before" if the folder already held the finished run and nothing was done."""
     @property
     def config(self) -> dict[str, Any]:
-        """All settings, as nested dictionaries."""
+        """All settings, including those that the scene plan decided, as nested dictionaries."""
     @property
     def evaluations(self) -> list[dict[str, Any]]:
-        """The evaluations in order: `seconds`, `samples`, `psnr`, `ssim`, `scales`."""
+        """The evaluations in order: dictionaries with `step`, `seconds`, `samples`, `psnr` (dB), `ssim`, `scales` and `last`."""
     @property
     def verdict(self) -> str:
         """The verdict on the model in one line."""
     def to_latex(self) -> str:
-        """The measures per scale as a LaTeX tabular, as in report.tex."""
+        """Returns the measures per scale as a LaTeX tabular, as in report.tex."""
     def to_markdown(self) -> str:
-        """The same as Markdown, as in report.md."""
+        """Returns the measures per scale as a Markdown table, as in report.md."""
     def report(self) -> Path:
-        """Writes the report again, as after training; the path of report.html."""
+        """Rewrites the report, as after training, and returns the path of report.html."""
     def model(self) -> Model:
-        """The trained model."""
+        """Loads the trained model."""
 
 def capture(
     input: str | PathLike[str],
@@ -244,7 +259,7 @@ def capture(
     fresh: bool = False,
     callback: Callable[[dict[str, Any]], bool | None] | None = None,
 ) -> Path:
-    """Finds the cameras of a film or of photographs by ffmpeg and COLMAP; the folder of the capture, which `train` takes as data."""
+    """Finds the cameras of a film or of photographs with ffmpeg and COLMAP. Returns the capture's folder, a scene for `train`."""
 def train(
     config: Settings | str | PathLike[str] | None = None,
     out: str | PathLike[str] | None = None,
@@ -254,10 +269,10 @@ def train(
     callback: Callable[[dict[str, Any]], bool | None] | None = None,
     fresh: bool = False,
 ) -> Run:
-    """Trains into a run folder, or resumes the run that is there; `callback` gets every event and returns False to stop."""
+    """Trains in a run folder, or resumes its run. `callback` receives every event as a dictionary; it stops the run by returning False."""
 def defaults() -> dict[str, Any]:
-    """All settings and their defaults, as nested dictionaries."""
+    """Returns all settings with their defaults, as nested dictionaries."""
 def systems() -> list[str]:
-    """Names of the systems that `train` can begin with."""
+    """Returns the names of the systems that `train` accepts."""
 def backends() -> list[str]:
-    """Names of the backends that work on this machine."""
+    """Returns the names of the backends that work on this machine."""

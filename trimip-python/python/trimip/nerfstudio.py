@@ -1,7 +1,7 @@
-"""Cameras of nerfstudio: its own world, its camera paths, its dictionaries of intrinsics.
+"""Cameras of nerfstudio: its world, its camera paths, its dictionaries of intrinsics.
 
-nerfstudio moves and scales a scene before it trains (``dataparser_transforms.json`` of a run tells how). `World` goes back to
-the world of the photographs, so that both programs render the same views.
+nerfstudio moves and scales a scene before it trains, and stores this map in ``dataparser_transforms.json`` of its run. `World`
+inverts the map, so that both programs render the same views.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _read(path: str | os.PathLike[str]) -> dict:
 
 
 def _square(matrix: ArrayLike) -> NDArray[np.float64]:
-    """[R|t] as a 4×4 matrix."""
+    """Returns [R|t] as a 4×4 matrix."""
     return np.vstack([np.asarray(matrix, dtype=np.float64).reshape(-1, 4)[:3], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -41,11 +41,11 @@ class World:
 
     @staticmethod
     def load(path: str | os.PathLike[str], transforms: str | os.PathLike[str] | None = None) -> World:
-        """Reads ``dataparser_transforms.json``, or the one in the folder of a run.
+        """Reads a ``dataparser_transforms.json``, given by its path or by the folder of a run.
 
-        Its map begins in the world of the COLMAP model. Where the photographs' cameras come from a ``transforms.json`` that
-        ``ns-process-data`` wrote, name that file: it says how its own world lies in COLMAP's (``applied_transform``,
-        ``applied_scale``).
+        The map of this file starts in the world of the COLMAP model. If the photographs' cameras come from a ``transforms.json`` that
+        ``ns-process-data`` wrote, pass that file as ``transforms``: its ``applied_transform`` and ``applied_scale`` map COLMAP's world
+        to its own.
         """
         path = os.path.join(path, "dataparser_transforms.json") if os.path.isdir(path) else path
         data, applied = _read(path), (_read(transforms) if transforms is not None else {})
@@ -56,7 +56,7 @@ class World:
             raise InputError(f"{os.fspath(path)}: no transform [3, 4] and scale; {error}") from error
 
     def back(self, poses: ArrayLike) -> NDArray[np.float64]:
-        """Poses of nerfstudio's world, [..., 3 or 4, 4], in the world of the photographs, [..., 3, 4]."""
+        """Maps poses of nerfstudio's world, [..., 3 or 4, 4], to the world of the photographs, [..., 3, 4]."""
         poses = np.asarray(poses, dtype=np.float64)[..., :3, :]
         rotation, shift = self.transform[:, :3], self.transform[:, 3]
         own = np.empty(poses.shape)
@@ -75,7 +75,10 @@ def cameras(
     height: int,
     world: World | None = None,
 ) -> list[Camera]:
-    """Cameras from the fields of nerfstudio's ``Cameras`` (pass ``.numpy()`` arrays), in the world of the photographs."""
+    """Returns cameras from the fields of nerfstudio's ``Cameras`` (pass ``.numpy()`` arrays).
+
+    With ``world``, the cameras are in the world of the photographs, otherwise in that of the poses.
+    """
     poses = np.asarray(camera_to_worlds, dtype=np.float64)
     poses = poses[None] if poses.ndim == 2 else poses
     poses = world.back(poses) if world else poses
@@ -84,7 +87,10 @@ def cameras(
 
 
 def camera_path(path: str | os.PathLike[str], world: World | None = None) -> list[Camera]:
-    """The cameras of a path that nerfstudio's viewer saved (``camera_path.json``), in the world of the photographs."""
+    """Returns the cameras of a path that nerfstudio's viewer saved (``camera_path.json``).
+
+    With ``world``, the cameras are in the world of the photographs, otherwise in that of the path.
+    """
     data = _read(path)
     kind = data.get("camera_type", "perspective")
     if kind != "perspective":
@@ -93,7 +99,7 @@ def camera_path(path: str | os.PathLike[str], world: World | None = None) -> lis
         width, height = int(data["render_width"]), int(data["render_height"])
         frames = data["camera_path"]
         poses = np.array([frame["camera_to_world"] for frame in frames], dtype=np.float64).reshape(-1, 4, 4)
-        # Their field of view is vertical.
+        # nerfstudio's field of view is vertical.
         angles = np.radians(np.array([frame["fov"] for frame in frames], dtype=np.float64))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{os.fspath(path)}: not a camera path of nerfstudio: {error!r}") from error

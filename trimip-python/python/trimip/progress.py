@@ -1,4 +1,4 @@
-"""A line of progress for a terminal or a notebook, without a dependency."""
+"""A progress line for a terminal or a notebook, without dependencies."""
 
 import sys
 import time
@@ -6,19 +6,19 @@ from typing import Any, TextIO
 
 
 class Progress:
-    """A callback of :func:`trimip.train` and :func:`trimip.capture` that keeps one line up to date.
+    """A callback for :func:`trimip.train` and :func:`trimip.capture` that keeps one line up to date.
 
     >>> trimip.train({"data.root": "data/lego"}, callback=trimip.Progress())
     """
 
     def __init__(self, file: TextIO | None = None, interval: float = 0.2) -> None:
-        """Writes to ``file`` (standard error without), at most every ``interval`` seconds."""
+        """Writes to ``file`` (default: standard error), at most every ``interval`` seconds."""
         self.file, self.interval = file, interval
         self._last, self._width = 0.0, 0
 
     def _write(self, text: str, end: str = "") -> None:
         file = self.file or sys.stderr
-        # Blanks cover what a longer line left.
+        # Spaces overwrite the rest of a longer previous line.
         file.write("\r" + text.ljust(self._width) + end)
         file.flush()
         self._width = 0 if end else len(text)

@@ -1,6 +1,6 @@
-//! Error against time per view for 1, 2×2, 4×4 and 8×8 cones a pixel, and the model's own numbers, at every scale: against
-//! the test photographs as the set shows them, without its edge exponents, against a true box filter of the finest
-//! photographs, and against the average of the most cones of the same model, which is what it knows of a pixel.
+//! Error against time per view for 1, 2×2, 4×4 and 8×8 cones per pixel and for the model's own numbers of cones, at every scale. Pictures
+//! are compared with the test photographs, with and without the set's edge exponents, with a true box filter of the finest photographs, and
+//! with the picture of the same model with the most cones, its converged average over a pixel.
 
 use crate::args::BenchArguments;
 use crate::curves::aligned;
@@ -23,28 +23,28 @@ use trimip_core::scene::cones::{Division, PixelPattern};
 use trimip_core::{Error, Frame, Result, ViewSet, Viewer};
 use trimip_report::svg::{self, Line, Point};
 
-/// Cones along a side of a pixel, besides the model's own numbers; the most cones are the reference.
+/// Cones along a side of a pixel, in addition to the model's own numbers. The most cones are the reference.
 const SIDES: [u32; 4] = [1, 2, 4, 8];
 
-/// A number of cones at a scale: means over the views.
+/// Results for one number of cones at one scale: means over the views.
 #[derive(Clone, Debug, Default, Serialize)]
 struct ConeRow {
     /// Reduction of the views: 1, 2, 4, 8.
     scale: u32,
     /// Cones along a side of a pixel.
     side: u32,
-    /// True for the number that the model's own rule gives.
+    /// True for the number of cones that the model's own rule gives.
     own: bool,
-    /// dB, as the photographs of the set show silhouettes.
+    /// PSNR in dB, as the photographs of the set show silhouettes.
     psnr: f64,
-    /// dB, without the set's edge exponents.
+    /// PSNR in dB, without the set's edge exponents.
     psnr_plain: f64,
-    /// dB, against a true box filter of the finest photographs.
+    /// PSNR in dB, against a true box filter of the finest photographs.
     psnr_box: f64,
-    /// dB, against the average of the most cones; `None` for these.
+    /// PSNR in dB, against the average of the most cones; `None` for the most cones.
     psnr_converged: Option<f64>,
     milliseconds: f64,
-    /// No other number of cones at this scale is both faster and nearer to the box filter.
+    /// True if no other number of cones at this scale is both faster and nearer to the box filter.
     pareto: bool,
 }
 
@@ -116,7 +116,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     Ok(0)
 }
 
-/// Cones along a side of a pixel that are compared, in ascending order.
+/// The compared numbers of cones along a side of a pixel, ascending.
 fn sides(division: &Division, views: &ViewSet) -> Vec<u32> {
     let own = views.views.iter().filter_map(|view| match division.pattern(&view.camera) {
         PixelPattern::Grid(side) => Some(side),
@@ -218,7 +218,7 @@ fn write(
     keep("cones.svg", &svg::alone(&lines(rows), "seconds a view").unwrap_or_default())
 }
 
-/// One line for each scale: error against the box filter over time.
+/// One line per scale: PSNR against the box filter over time.
 fn lines(rows: &[ConeRow]) -> Vec<Line> {
     let mut scales: Vec<u32> = rows.iter().map(|row| row.scale).collect();
     scales.dedup();

@@ -1,5 +1,5 @@
-//! `bench`: error against time, of training over a set of configurations, of rendering over a model's approximations, of
-//! ways to few samples, or of pixels over their number of cones.
+//! `bench`: error against time, of training over a set of configurations or of rendering one model: with varied approximations, in several
+//! ways with few samples, or with several numbers of cones per pixel.
 
 mod cones;
 mod page;

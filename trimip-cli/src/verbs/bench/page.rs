@@ -11,7 +11,7 @@ use trimip_core::atomic::write_atomically;
 use trimip_report::beside::{self, Entry};
 use trimip_report::{page, svg};
 
-/// Writes all files; `lines` are the curves of all runs, by variant.
+/// Writes all files; `lines` are the curves of all runs, grouped by variant.
 pub fn write(bench: &Bench, rows: &[VariantRow], lines: &[svg::Line]) -> Result<()> {
     let (base, reach) = (Config::from_settings(&bench.base)?, &bench.reach[..]);
     let machine = Machine::detect();
@@ -54,7 +54,7 @@ fn csv(rows: &[VariantRow]) -> String {
     csv
 }
 
-/// The table of papers; after a ± stands half of the difference between the best and the worst seed.
+/// The LaTeX table for papers; the number after ± is half the difference between the best and the worst seed.
 fn latex(rows: &[VariantRow]) -> String {
     let seeds = rows.iter().map(|row| row.seeds).max().unwrap_or(1);
     let head = ["variant", "seconds", "PSNR / dB", "SSIM", "model / MB"];

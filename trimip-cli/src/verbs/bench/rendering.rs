@@ -1,8 +1,8 @@
-//! Error of rendering against time per frame: the difference between a picture and the same model's picture in f64 with
-//! very short steps, over steps, early termination, pruning, hybrid rendering, occupancy cells, precision and cones per pixel. The field
-//! is as trained, so the error is that of the quadrature and of f32 alone; for another number of cones than the model's
-//! it is the difference between the two. If steps are halved, the order of convergence is printed next to the
-//! expected one. Below it, the error of each stage against f64 on samples of the same view.
+//! Error of rendering against time per frame. The error is the difference from the same model's picture in f64 with very short steps.
+//! Varied are steps, early termination, pruning, hybrid rendering, occupancy cells, precision and cones per pixel. The field is fixed, so
+//! the error is only that of the quadrature and of f32; for another number of cones than the model's it is the difference between the two.
+//! When steps are halved, the order of convergence is printed next to the expected one. A second table has the error of each stage against
+//! f64, on samples of the same view.
 
 use super::stages::{self, StageError};
 use crate::args::BenchArguments;
@@ -27,11 +27,10 @@ use trimip_core::{Camera, Error, Result};
 use trimip_core::{atomic::write_atomically, field::tensors::Tensor};
 use trimip_data::Watch;
 
-/// Steps along the diagonal of the reference. A picture with half as many shows the reference's own distance from its
-/// limit.
+/// Steps along the diagonal of the reference. A picture with half as many shows how far the reference is from its limit.
 const REFERENCE_STEPS: u32 = 16_384;
 
-/// Number of frames; the fastest is reported.
+/// Frames per measurement; the fastest is reported.
 const FRAMES: usize = 3;
 
 /// A picture in f64, row-major.
@@ -44,7 +43,7 @@ struct RenderingRow {
     value: String,
     /// Root-mean-square difference from the reference, colours in [0, 1].
     error: f64,
-    /// The same as PSNR, dB.
+    /// The error as PSNR, dB.
     psnr: f64,
     milliseconds: f64,
     /// log2 of the error at twice the step over the error at this step.
@@ -56,7 +55,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let mut model = run_folder::read_model(path)?;
     settings::override_model(&mut model, &arguments.settings.set)?;
     backends::check(&model.config.backend)?;
-    // All rows but those of hybrid rendering vary volume rendering.
+    // All rows except those of hybrid rendering vary volume rendering.
     model.config.renderer.kind = RendererKind::Volume;
     let camera = camera(&model, arguments)?;
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -164,10 +163,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     Ok(0)
 }
 
-/// Measures a way to render a model.
+/// A function that measures a way to render a model.
 type Measure<'a> = dyn Fn(&Model, &'static str, String) -> Result<RenderingRow> + 'a;
 
-/// Hybrid rendering over the settings that choose its samples, one at a time.
+/// Hybrid rendering, with each setting that chooses its samples varied separately.
 fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<RenderingRow>> {
     let mut base = model.clone();
     base.config.renderer.kind = RendererKind::Hybrid;

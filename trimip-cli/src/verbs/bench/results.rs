@@ -1,4 +1,4 @@
-//! A benchmark of trainings: what it varies, and the figures of each variant.
+//! A training benchmark: what it varies, and the figures of each variant.
 
 use crate::curves::Reach;
 use crate::terminal;
@@ -8,9 +8,9 @@ use trimip::Settings;
 /// A configuration of the benchmark.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
-    /// Name, also of the folders of its runs.
+    /// Name of the variant and of its run folders.
     pub name: String,
-    /// Its assignments, `section.key=value` each.
+    /// Assignments of the variant, each `section.key=value`.
     pub assignments: Vec<String>,
 }
 
@@ -21,7 +21,7 @@ pub struct Bench {
     pub base: Settings,
     /// Variants to train.
     pub variants: Vec<Variant>,
-    /// Seeds of each variant.
+    /// Number of seeds per variant.
     pub seeds: u32,
     /// PSNR levels in dB whose times are reported, ascending.
     pub reach: Vec<f64>,
@@ -34,9 +34,9 @@ pub struct Bench {
 pub struct VariantRow {
     /// Name of the variant.
     pub name: String,
-    /// Its assignments.
+    /// Assignments of the variant.
     pub settings: Vec<String>,
-    /// Number of its runs.
+    /// Number of runs.
     pub seeds: usize,
     /// Seconds of training.
     pub seconds: f64,
@@ -52,12 +52,12 @@ pub struct VariantRow {
     pub model_bytes: f64,
     /// Peak resident memory in bytes, if known.
     pub peak_memory_bytes: Option<f64>,
-    /// No other variant is both faster and better.
+    /// True if no other variant is both faster and better.
     pub pareto: bool,
-    /// Mean time at which the seeds reach each PSNR, if all do. It is an upper bound if a seed reached it before its
-    /// first measurement.
+    /// Mean time at which the seeds reach each PSNR, if all of them do. It is an upper bound if a seed reached the PSNR before its first
+    /// measurement.
     pub reaches: Vec<Option<Reach>>,
-    /// Folders of its runs.
+    /// Run folders of the variant.
     pub runs: Vec<PathBuf>,
 }
 

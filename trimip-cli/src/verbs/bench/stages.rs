@@ -1,6 +1,6 @@
-//! Error of each stage against f64 on a model's own samples. The input of a stage is the f32 output of the stage before
-//! it, so each row is the stage's own rounding. Errors in units in the last place of the f64 result's f32, and relative
-//! to the largest value of the stage.
+//! Error of each stage against f64, on a model's own samples. The input of each stage is the f32 output of the previous one, so that each
+//! row has only the stage's own rounding. Errors are in units in the last place (ulp) of the f64 result's f32, and relative to the largest
+//! value of the stage.
 
 use serde::Serialize;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use trimip_core::{
     Backend, Camera, Encoder, Field, Layout, Renderer, Result, Space, engine::backend::Occupancy,
 };
 
-/// Rays along each side of the picture.
+/// Rays along each side of the picture; the rays are spread over it.
 const SIDE: u32 = 16;
 
 /// A stage and its errors.
@@ -28,11 +28,11 @@ pub struct StageError {
     pub values: usize,
     /// Median error in units in the last place.
     pub median_ulp: f64,
-    /// 99th percentile of the same.
+    /// 99th percentile of the error in units in the last place.
     pub high_ulp: f64,
-    /// Largest error over the largest value.
+    /// Largest error divided by the largest value.
     pub relative: f64,
-    /// Time of the stage over these samples, the device's answer included.
+    /// Time of the stage for these samples, including the read-back from the device.
     pub milliseconds: f64,
 }
 
@@ -48,7 +48,7 @@ pub fn measure(model: &Model, camera: &Camera) -> Result<Vec<StageError>> {
         if backends::load(&other)?.notes().is_empty() {
             let work = OnBackend { model: &other, camera, precision: name };
             let found = backends::visit_configured(&other.config, work)?;
-            // A stage without layers has only one precision.
+            // Only stages with layers are repeated in other precisions.
             rows.extend(found.into_iter().filter(|row| precision == Precision::F32 || layered(row.stage)));
         }
     }
@@ -174,7 +174,7 @@ fn on<B: Backend>(
     Ok(rows.map(|((stage, time), errors)| row(stage, precision, time, errors)).collect())
 }
 
-/// Milliseconds of a stage after one warm-up run.
+/// Time of a stage after one warm-up run, milliseconds.
 fn timed<B: Backend>(backend: &B, mut work: impl FnMut() + Send) -> f64 {
     backend.install(&mut work);
     let started = Instant::now();
@@ -182,7 +182,7 @@ fn timed<B: Backend>(backend: &B, mut work: impl FnMut() + Send) -> f64 {
     1e3 * started.elapsed().as_secs_f64()
 }
 
-/// Uploads samples with all of them kept.
+/// Uploads samples and marks all of them as kept.
 fn place<B: Backend>(
     backend: &B,
     samples: &mut Samples<B>,
@@ -217,7 +217,7 @@ fn ulp(value: f64) -> f64 {
     f64::from(near.next_up()) - f64::from(near)
 }
 
-/// The errors of a stage; `pairs` are found and expected values.
+/// Summarises the errors of a stage; `pairs` are found and expected values.
 fn row(stage: &'static str, precision: &'static str, milliseconds: f64, pairs: &[(f64, f64)]) -> StageError {
     let mut ulps: Vec<f64> = pairs.iter().map(|(found, x)| (found - x).abs() / ulp(*x)).collect();
     ulps.sort_by(f64::total_cmp);

@@ -1,6 +1,5 @@
-//! Error against seconds of training for a set of configurations, several seeds each, in one plot and one table. Marks
-//! the Pareto-optimal variants. Runs that are already finished in the folder are not repeated. `page.rs` writes the
-//! results.
+//! Error against seconds of training for a set of configurations, with several seeds each, in one plot and one table. The Pareto-optimal
+//! variants are marked. Runs that are already finished in the folder are not repeated. `page.rs` writes the results.
 
 use super::page;
 pub use super::results::{Bench, Variant, VariantRow, cells};
@@ -48,7 +47,7 @@ fn bench(arguments: &BenchArguments, reach: Vec<f64>) -> Result<Bench> {
     })
 }
 
-/// Does its part of [`run`] on another rank than the first.
+/// Does this rank's part of [`run`], on ranks other than 0.
 ///
 /// # Errors
 /// When a setting is wrong.
@@ -56,10 +55,10 @@ pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
     work(&bench(arguments, Vec::new())?, ranks)
 }
 
-/// Does its part of [`measure`] on another rank than the first.
+/// Does this rank's part of [`measure`], on ranks other than 0.
 ///
 /// # Errors
-/// When rank 0 is gone, or has other runs.
+/// When rank 0 is gone or has other runs.
 pub fn work(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
     work_on_jobs(ranks, &bench.digest()?, |run| Ok(jobs::job(ranks, bench.training(run))))
 }
@@ -70,14 +69,14 @@ impl Bench {
         self.out.join(format!("{}-{seed}", slug(&variant.name)))
     }
 
-    /// The same on every rank that has the same runs.
+    /// A digest that is equal on all ranks with the same runs.
     fn digest(&self) -> Result<String> {
         let settings = |variant| Ok(Config::from_settings(&with(&self.base, variant, 0)?)?.to_toml());
         let variants = self.variants.iter().map(settings).collect::<Result<Vec<_>>>()?;
         Ok(digest(variants.into_iter().chain([format!("{} {:?}", self.seeds, self.out)])))
     }
 
-    /// Variant and seed of run number `run` of all.
+    /// Variant and seed of run number `run`.
     fn variant(&self, run: usize) -> (&Variant, u32) {
         (&self.variants[run / self.seeds as usize], (run % self.seeds as usize) as u32)
     }
@@ -88,21 +87,21 @@ impl Bench {
         Config::from_settings(&with(&self.base, variant, seed)?)?.section()
     }
 
-    /// Run number `run` of all variants and seeds.
+    /// The training of run number `run`.
     fn training(&self, run: usize) -> Result<Training> {
         let (variant, seed) = self.variant(run);
         Ok(Training::new(with(&self.base, variant, seed)?, &self.folder(variant, seed)))
     }
 }
 
-/// Trains every variant with every seed, prints the table and writes the benchmark's pages; `None` if the user stopped
-/// it. A run that is already finished in its folder is not repeated.
+/// Trains every variant with every seed, prints the table and writes the benchmark's pages. Returns `None` if the user stopped it. A run
+/// that is already finished in its folder is not repeated.
 ///
 /// # Errors
 /// When a variant's settings are invalid, or a run fails.
 pub fn measure(bench: &Bench) -> Result<Option<Vec<VariantRow>>> {
     let Bench { base, variants, seeds, reach, out } = bench;
-    // Check every setting before the first run begins.
+    // Check every setting before the first run starts.
     for variant in variants {
         Config::from_settings(&with(base, variant, 0)?)?;
     }
@@ -117,7 +116,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<VariantRow>>> {
     run_folder::create_writable(out)?;
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
     if let Some(ranks) = ranks::all() {
-        // Afterwards the runs are found finished; one that failed elsewhere is tried here once more.
+        // The loop below then finds these runs finished. It tries a run that failed on another rank once more here.
         let runs: Vec<usize> = (0..variants.len() * *seeds as usize).collect();
         terminal::aside(format!(
             "{} on {} ranks",
@@ -186,7 +185,7 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     }
 }
 
-/// The variants that `--try` names.
+/// The variants of `--try`.
 pub fn tried(texts: &[String]) -> Result<Vec<Variant>> {
     let variant = |text: &String| {
         let (name, assignments) = text.split_once(':').ok_or_else(|| {
@@ -257,7 +256,7 @@ fn row(variant: &Variant, outcomes: &[Outcome], reach: &[f64]) -> VariantRow {
     }
 }
 
-/// Marks the variants that no other variant beats in both time and error.
+/// Marks the variants that no other variant beats in both time and PSNR.
 fn mark_front(rows: &mut [VariantRow]) {
     let points: Vec<Measure> =
         rows.iter().map(|row| Measure { seconds: row.seconds, psnr: row.psnr }).collect();

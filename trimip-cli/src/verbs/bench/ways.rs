@@ -1,6 +1,6 @@
-//! Error against time per frame for ways to few samples, at every scale of the test views: against the photographs, and
-//! against converged volume rendering of the same model. The ways are volume rendering with longer steps, with steps that
-//! follow the cone and with early stops, and hybrid rendering over each of its settings; or those that `--try` names.
+//! Error against time per frame for ways to render with few samples, at every scale of the test views: against the photographs, and against
+//! converged volume rendering of the same model. The ways are volume rendering with longer steps, with steps that follow the cone and with
+//! early termination, and hybrid rendering over each of its settings; or the ways of `--try`.
 
 use super::training::{Variant, tried};
 use crate::args::BenchArguments;
@@ -26,37 +26,37 @@ use trimip_core::{Error, Result, Viewer};
 use trimip_report::page;
 use trimip_report::svg::{self, Line, Point};
 
-/// The steps of converged volume rendering are this much shorter than the model's.
+/// Factor by which the steps of converged volume rendering are shorter than the model's.
 const SHORTER: u32 = 4;
 
-/// Name of the way to which the others are compared: volume rendering as the model is configured.
+/// Name of the baseline: volume rendering as the model configures it.
 const BASE: &str = "volume";
 
-/// A way to render, of a family of ways that differ in one thing.
+/// A way to render. The ways of a family differ in one thing.
 struct Way {
     family: String,
     name: String,
     viewer: Box<dyn Viewer>,
 }
 
-/// A way at a scale: means over the views.
+/// Results of one way at one scale: means over the views.
 #[derive(Clone, Debug, Default, Serialize)]
 struct WayRow {
     /// Reduction of the views: 1, 2, 4, 8.
     scale: u32,
     family: String,
     name: String,
-    /// dB, as the photographs of the set show silhouettes.
+    /// PSNR in dB, as the photographs of the set show silhouettes.
     psnr: f64,
-    /// dB, less those of the first way.
+    /// PSNR minus that of the first way, dB.
     gain: f64,
-    /// dB, against converged volume rendering.
+    /// PSNR in dB, against converged volume rendering.
     psnr_converged: f64,
-    /// Of a frame.
+    /// Time per frame.
     milliseconds: f64,
-    /// Time of a frame in the first way, over that in this one.
+    /// Time per frame of the first way divided by that of this one.
     speed: f64,
-    /// No other way at this scale is both faster and nearer to converged volume rendering.
+    /// True if no other way at this scale is both faster and nearer to converged volume rendering.
     pareto: bool,
 }
 
@@ -76,7 +76,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let fraction = 1.0 / indices.len() as f64;
     for &index in &indices {
         let set = scene.frames.load(index)?;
-        // Coarse to fine: the first pictures of a session, which allocate its memory, are the short ones.
+        // Coarse scales come first: the first pictures of a session allocate its memory, so they should be the cheap ones.
         let views = set.scales.iter().rev().flat_map(|s| s.views.clone().map(move |view| (s.factor, view)));
         for (factor, view) in views {
             let camera = &set.views[view].camera;
@@ -129,7 +129,7 @@ fn converged(model: &Model) -> Model {
     model
 }
 
-/// The ways to compare; the first is volume rendering as the model is configured.
+/// The ways to compare. The first is volume rendering as the model configures it.
 fn ways(model: &Model, arguments: &BenchArguments) -> Result<Vec<Way>> {
     let has_proxy = Proxy::is_in(&assets(&model.file));
     let mut ways = vec![way(model, BASE, &Variant { name: BASE.into(), assignments: vec![volume()] })?];
@@ -155,7 +155,7 @@ fn volume() -> String {
     "renderer.kind=volume".into()
 }
 
-/// Family, name and settings of the ways that are compared without `--try`.
+/// Family, name and settings of the default ways, used without `--try`.
 fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<String>)> {
     let mut all = Vec::new();
     for longer in [1.5, 2.0, 3.0] {
@@ -212,7 +212,7 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
     all
 }
 
-/// Sets what compares each row with the first of its scale and with all others.
+/// Sets `gain` and `speed` against the first row of the same scale, and `pareto` against all of them.
 fn compare(rows: &mut [WayRow]) {
     let all: Vec<_> = rows.iter().map(|r| (r.scale, r.psnr, r.milliseconds, r.psnr_converged)).collect();
     for (row, own) in rows.iter_mut().zip(&all) {
@@ -253,7 +253,7 @@ fn cells(rows: &[WayRow]) -> Vec<Vec<String>> {
     cells
 }
 
-/// Writes `ways.json`, `ways.csv`, a plot for each scale (`ways-1.svg`, ..), and all of it as `ways.html`.
+/// Writes `ways.json`, `ways.csv`, a plot per scale (`ways-1.svg`, ..), and all results as `ways.html`.
 fn write(
     arguments: &BenchArguments,
     path: &Path,
@@ -323,7 +323,7 @@ fn write(
     keep("ways.html", &page::whole("Ways to few samples – Tri-MipRF", &(head + &sections)))
 }
 
-/// One line for each family of a scale.
+/// One line per family at a scale.
 fn lines(rows: &[WayRow], value: fn(&WayRow) -> f64) -> Vec<Line> {
     let point = |row: &WayRow| Point {
         seconds: 1e-3 * row.milliseconds,
@@ -333,7 +333,7 @@ fn lines(rows: &[WayRow], value: fn(&WayRow) -> f64) -> Vec<Line> {
     let line = |(i, family): (usize, &[WayRow])| {
         let mut points: Vec<Point> = family.iter().map(point).collect();
         points.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
-        // The way to which all others are compared is black.
+        // The baseline is black.
         let color = if i == 0 { "#1b1f24" } else { svg::COLORS[(i - 1) % svg::COLORS.len()] };
         Line { name: family[0].family.clone(), color: color.into(), class: "scale", points, ring: None }
     };

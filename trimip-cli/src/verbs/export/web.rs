@@ -1,4 +1,4 @@
-//! `export web`: a folder with a page that renders the model by itself.
+//! `export web`: writes a folder with a page that renders the model in the browser.
 
 use crate::{args::WebArguments, terminal};
 use serde_json::json;
@@ -12,10 +12,10 @@ use trimip_view::page;
 /// Files of the page's program, which `tools/web.sh` builds.
 const PROGRAM: [&str; 2] = ["trimip_web.js", "trimip_web_bg.wasm"];
 
-/// Name of the model's file.
+/// File name of the model.
 const MODEL: &str = "model.trimip";
 
-/// Name of the file that tells the page its model, and this program that the folder is its own.
+/// File that names the page's model, and marks the folder as written by this program.
 const ABOUT: &str = "about.json";
 
 /// Files of the page: name, text.
@@ -30,7 +30,7 @@ const PAGE: [(&str, &str); 5] = [
 /// Writes the folder.
 pub fn export(arguments: &WebArguments) -> Result<u8> {
     let model = run_folder::read_model(&arguments.model)?;
-    // Where the photographs lie is nobody else's business.
+    // The path of the photographs is private and not exported.
     let mut config = model.config.clone();
     config.data.root = Config::default().data.root;
     let cropped = arguments.crop.opens(&mut config);

@@ -1,6 +1,6 @@
-//! `paper`: the systems of the paper's tables on the same scenes, splits and seeds, beside each other and beside the published
-//! figures. Every run is a run folder, so the same command goes on where it was interrupted. The pages are written after
-//! every run. A run that fails is reported and does not end the others.
+//! `paper`: trains the systems of the paper's tables on the same scenes, splits and seeds, and compares them with each other and with the
+//! published figures. Every run has a run folder, so the same command resumes an interrupted one. The pages are rewritten after every run.
+//! A run that fails is reported and does not end the others.
 
 mod plan;
 mod request;
@@ -21,7 +21,7 @@ use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, mach
 use trimip_core::engine::exchange::Ranks;
 use trimip_report::{paper as page, save};
 
-/// Trains what is not trained yet, and writes the pages.
+/// Trains the runs that are not trained yet, measures them, and writes the pages.
 pub fn run(arguments: &PaperArguments) -> Result<u8> {
     if arguments.list {
         terminal::line(list());
@@ -30,12 +30,12 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     let request = Request::new(arguments)?;
     plan::lines(&request).iter().for_each(terminal::aside);
     create_writable(&request.out)?;
-    // Two processes would write one page, and run each other's runs.
+    // Two processes would write the same page, and train the same runs.
     let _held = RunFolder::new(&request.out).lock()?;
     let mut comparison = request.comparison();
     let stop = interrupt::install()?;
     if let Some(ranks) = ranks::all() {
-        // Afterwards the runs are found trained, and are measured here.
+        // The loop below then finds these runs trained, and measures them.
         let waiting: Vec<usize> =
             (0..request.jobs.len()).filter(|&i| !request.jobs[i].is_trained()).collect();
         if !jobs::spread(
@@ -81,7 +81,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     }
 }
 
-/// Does its part of [`run`] on another rank than the first.
+/// Does this rank's part of [`run`], on ranks other than 0.
 ///
 /// # Errors
 /// When a scene or a setting is wrong.
@@ -91,7 +91,7 @@ pub fn work(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
 }
 
 impl PaperRun {
-    /// True if the run is trained; it may not be measured yet.
+    /// True if the run is trained, whether or not it is measured.
     fn is_trained(&self) -> bool {
         History::of(&self.folder.events()).finished
     }
@@ -101,7 +101,7 @@ impl PaperRun {
     }
 }
 
-/// Trains a run and measures it, or finds it finished. Returns its state and, if it was measured, its figures.
+/// Trains and measures a run, unless it is finished. Returns its status and, if it was measured, its figures.
 fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
     machine::reset_peak_memory();
@@ -117,7 +117,7 @@ fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
     concluded(train::train(Training::new(job.measuring.clone(), job.folder.root()), style), style)
 }
 
-/// The state and the figures of a training that has ended.
+/// The status and the figures of a training that has ended.
 fn concluded(trained: Result<Trained>, style: ProgressStyle) -> (Status, Option<Figures>) {
     let failed = |error: Error| match error.kind {
         ErrorKind::Stopped => Status::Stopped,
@@ -145,13 +145,13 @@ fn write(request: &Request, comparison: &Comparison) -> Result<()> {
 }
 
 impl Request {
-    /// The same on every rank that has the same jobs.
+    /// A digest that is equal on all ranks with the same jobs.
     fn digest(&self) -> String {
         let job = |job: &PaperRun| format!("{} {:?}", job.config.to_toml(), job.folder.root());
         digest(self.jobs.iter().map(job))
     }
 
-    /// The comparison before its first run.
+    /// The comparison before the first run.
     fn comparison(&self) -> Comparison {
         let run = |job: &PaperRun| Run {
             scales: job.scales,
@@ -176,7 +176,7 @@ impl Request {
     }
 }
 
-/// The systems for a terminal.
+/// The table of systems for a terminal.
 fn list() -> String {
     let mut rows = vec![["name", "system", "kind", "beside"].map(String::from).to_vec()];
     rows.extend(SYSTEMS.iter().map(|system| {
@@ -187,7 +187,7 @@ fn list() -> String {
             system.beside.unwrap_or("–").to_string(),
         ]
     }));
-    // All columns are words, so all are left-aligned.
+    // All columns are text and therefore left-aligned.
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..4).map(width).collect();
     let line = |row: &Vec<String>| {
@@ -202,7 +202,7 @@ fn list() -> String {
     text.join("\n")
 }
 
-/// A table for a terminal.
+/// A table of results for a terminal.
 fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut cells = vec![vec![scales.title().to_string()]];

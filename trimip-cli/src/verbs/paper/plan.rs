@@ -1,17 +1,17 @@
-//! What a command will run and how long that takes, printed before it begins.
+//! What a command will run, and the time that it will take; printed before it starts.
 
 use super::request::{PaperRun, Request};
 use crate::terminal::{count, duration};
 use trimip::run::history::History;
 use trimip_core::engine::events::progress;
 
-/// How far a run is.
+/// Progress of a run.
 struct State {
-    /// From 0 to 1.
+    /// Share of the run that is done, 0 to 1.
     done: f64,
     /// Seconds of training so far.
     seconds: f64,
-    /// Seconds of evaluations, if it is finished.
+    /// Seconds of evaluations, if the run is finished.
     evaluation: Option<f64>,
 }
 
@@ -19,7 +19,7 @@ impl State {
     fn of(job: &PaperRun) -> Self {
         let history = History::of(&job.folder.events());
         let finished = history.last().is_some() && job.folder.model().exists();
-        // Without a checkpoint a run starts from its beginning.
+        // Without a checkpoint, a run starts over.
         let begun = job.folder.checkpoint().exists();
         Self {
             done: if begun { progress(&job.config, &history.totals).clamp(0.0, 1.0) } else { 0.0 },
@@ -53,7 +53,7 @@ pub fn lines(request: &Request) -> Vec<String> {
     lines
 }
 
-/// The expected time of what is left.
+/// The expected time of the runs that are left.
 fn time(jobs: &[PaperRun], states: &[State], stride: u32) -> String {
     let (mut training, mut unknown) = (0.0, Vec::new());
     for (job, state) in jobs.iter().zip(states).filter(|(_, state)| state.evaluation.is_none()) {
@@ -85,7 +85,7 @@ fn time(jobs: &[PaperRun], states: &[State], stride: u32) -> String {
     text
 }
 
-/// Seconds of training left; `None` for a budget of steps whose time nothing tells.
+/// Seconds of training left; `None` for a budget of steps if no run of the same system has begun.
 fn left(job: &PaperRun, state: &State, jobs: &[PaperRun], states: &[State]) -> Option<f64> {
     let train = &job.config.train;
     if train.steps == 0 {

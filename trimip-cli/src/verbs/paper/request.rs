@@ -1,5 +1,5 @@
-//! What is to be run: scenes, systems, seeds and scales of the command line as a list of runs. Everything that is wrong with the
-//! input is found here, before the first run begins.
+//! The list of runs that the command line asks for: scenes, systems, seeds and scales. All errors of the input are found here, before the
+//! first run starts.
 
 use crate::args::{PaperArguments, Schedule, Split, TableScales};
 use crate::settings::scene_root;
@@ -11,7 +11,7 @@ use trimip::systems::{self, SYSTEMS, System};
 use trimip::{Config, Error, Result, RunFolder, Settings, backends};
 use trimip_core::text;
 
-/// Seconds of training of a run unless told otherwise: those of the paper on its GPU.
+/// Default seconds of training per run: the time of the paper on its GPU.
 const SECONDS: f64 = 300.0;
 
 /// Folder of the single-scale runs within the output folder.
@@ -20,7 +20,7 @@ const SINGLE: &str = "single-scale";
 /// A scene.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Scene {
-    /// Name of its folder.
+    /// Name of the scene's folder.
     pub name: String,
     /// `data.root`.
     pub root: String,
@@ -32,9 +32,9 @@ pub struct PaperRun {
     pub scene: String,
     pub system: &'static System,
     pub seed: u64,
-    /// Settings of the training. Its evaluations take a share of the time, so that a fog at its beginning takes no hours.
+    /// Settings of the training. The time of its evaluations is limited, because early models are foggy and would take hours to evaluate.
     pub training: Settings,
-    /// Settings of the evaluation at the end, which has no limit.
+    /// Settings of the final evaluation, which has no time limit.
     pub measuring: Settings,
     /// The configuration of `measuring`.
     pub config: Config,
@@ -42,7 +42,7 @@ pub struct PaperRun {
 }
 
 impl PaperRun {
-    /// The run in words.
+    /// Describes the run in words.
     pub fn name(&self) -> String {
         let scales = if self.scales == Scales::One { ", single-scale" } else { "" };
         format!("{}, {}, seed {}{scales}", self.scene, self.system.name, self.seed)
@@ -53,12 +53,12 @@ impl PaperRun {
 pub struct Request {
     pub systems: Vec<&'static System>,
     pub scenes: Vec<Scene>,
-    /// Blender scenes that the named folders do not hold.
+    /// Blender scenes that the named folders lack.
     pub missing: Vec<&'static str>,
     pub scales: Vec<Scales>,
     pub split: Vec<&'static str>,
     pub stride: u32,
-    /// Seeds outside, then tables, scenes and systems: early pages have every system.
+    /// All runs, ordered by seed, then table, scene and system, so that even an early page has every system.
     pub jobs: Vec<PaperRun>,
     pub out: PathBuf,
 }
@@ -67,7 +67,7 @@ impl Request {
     /// Reads the arguments and checks scenes, splits, settings and run folders.
     ///
     /// # Errors
-    /// Of kind `Input`, when something of it is wrong or a run folder holds a run of other settings.
+    /// Of kind `Input`, when an argument is wrong or a run folder holds a run with other settings.
     pub fn new(arguments: &PaperArguments) -> Result<Self> {
         let (scenes, missing) = scenes(&arguments.scenes)?;
         let mut request = Self {
@@ -106,12 +106,12 @@ impl Request {
         Ok(request)
     }
 
-    /// The page.
+    /// Path of the page.
     pub fn page(&self) -> PathBuf {
         self.out.join("paper.html")
     }
 
-    /// The budget of a run in words, from the settings of all of them.
+    /// Describes the budget of a run in words, from the settings of all runs.
     pub fn budget(&self) -> String {
         let train = || self.jobs.iter().map(|job| &job.config.train);
         let first = train().next().map_or((0.0, 0), |train| (train.seconds, train.steps));
@@ -128,7 +128,7 @@ impl Request {
         for job in &self.jobs {
             backends::check(&job.config.backend)?;
             let data: DataConfig = job.config.section()?;
-            // The systems of a scene share its data.
+            // Systems share the data of a scene, so each data set is checked once.
             if sets.contains(&data) {
                 continue;
             }
@@ -147,7 +147,7 @@ impl Request {
     }
 }
 
-/// The scenes of the named folders, and the Blender scenes that folders of scenes lack.
+/// The scenes of the named folders, and the Blender scenes that collections of scenes lack.
 fn scenes(folders: &[PathBuf]) -> Result<(Vec<Scene>, Vec<&'static str>)> {
     let (mut roots, mut missing) = (Vec::new(), Vec::new());
     for folder in folders {
@@ -178,14 +178,14 @@ fn scenes(folders: &[PathBuf]) -> Result<(Vec<Scene>, Vec<&'static str>)> {
     Ok((scenes, missing))
 }
 
-/// The systems of these names in the order of the tables; all without names.
+/// The systems with these names, in the order of the tables; all systems if no names are given.
 fn chosen(names: &[String]) -> Result<Vec<&'static System>> {
     let named: Vec<&System> = names.iter().map(|name| systems::find(name.trim())).collect::<Result<_>>()?;
     let wanted = |system: &&System| names.is_empty() || named.iter().any(|other| other.name == system.name);
     Ok(SYSTEMS.iter().filter(wanted).collect())
 }
 
-/// The tables, each once.
+/// The requested tables, without repetitions.
 fn tables(wanted: &[TableScales]) -> Vec<Scales> {
     let has = |scales| wanted.contains(&scales);
     let all = [(TableScales::Four, Scales::Four), (TableScales::One, Scales::One)];
@@ -197,15 +197,15 @@ fn path(assignment: &str) -> &str {
     assignment.split('=').next().unwrap_or_default().trim()
 }
 
-/// The layers of settings that lie over those of a system.
+/// The layers of settings that override those of a system.
 struct Layers {
     /// Name and text of the configuration file.
     file: Option<(String, String)>,
-    /// Assignments of the comparison: the same data, views and budget for every system.
+    /// Assignments that make systems comparable: the same data, views and budget.
     shared: Vec<String>,
     /// The user's assignments.
     set: Vec<String>,
-    /// Every n-th test view is measured at the end.
+    /// Every `stride`-th test view is measured at the end.
     stride: u32,
 }
 
@@ -239,7 +239,7 @@ impl Layers {
         Ok(Self { file, shared, set: arguments.set.clone(), stride: request.stride })
     }
 
-    /// The run of a system; `seed` counts from the configured one.
+    /// The run of a system on a scene; `seed` is added to the configured one.
     fn job(
         &self,
         system: &'static System,
@@ -260,7 +260,7 @@ impl Layers {
         for assignment in data.iter().chain(&self.shared) {
             settings.apply_assignment(assignment)?;
         }
-        // A setting of one encoder is for the systems that have it.
+        // Settings of one encoder only apply to systems that have this encoder.
         let encoder = Config::from_settings(&settings)?.encoder.kind;
         for assignment in self.set.iter().filter(|assignment| encoder.takes(path(assignment))) {
             settings.apply_assignment(assignment)?;
