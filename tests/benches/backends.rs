@@ -14,7 +14,7 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 use trimip_wgpu::{Addition, WgpuBackend};
 
-/// Steps before the timed step: at first, the occupancy grid is full.
+/// Number of steps before the timed step; during the first steps the occupancy grid is full.
 const WARM: usize = 24;
 
 fn samples() -> u32 {
@@ -59,7 +59,7 @@ struct Way<'a, B> {
     precision: Precision,
 }
 
-/// Times every stage. Each is submitted many times and waited for once.
+/// Times every stage: submits it many times and waits for it once.
 fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     let (config, views) = scene(way.precision);
     let backend = (way.make)();
@@ -243,7 +243,7 @@ fn main() {
 }
 
 /// Operations and bytes of memory per sample in each stage, for the paper's networks; `None` for stages of mixed work.
-/// Texels count as uncached, arrays of samples as read and written once.
+/// Texels count as uncached; arrays of samples count as read and written once.
 fn work() -> [(&'static str, Option<[f64; 2]>); 12] {
     let products = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 2.0 * k * n).sum::<f64>();
     // Bytes that a layer reads and writes.

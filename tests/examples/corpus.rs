@@ -1,4 +1,4 @@
-//! Writes valid files of every format to `fuzz/corpus`, where libFuzzer begins.
+//! Writes valid files of every format to `fuzz/corpus`, the initial corpus of libFuzzer.
 //!
 //!     cargo run -p trimip-tests --example corpus
 

@@ -1,5 +1,6 @@
-//! Writes a capture as large as asked: the built-in scene ray-traced small, enlarged to JPEG photographs of any size, with
-//! `transforms.json`. For measuring how the program copes with size; its pixels are no sharper than those traced.
+//! Writes a capture of any size: the built-in scene, ray-traced small and enlarged to JPEG photographs, with
+//! `transforms.json`. It shows how the program copes with size; the photographs are no sharper than the ray-traced
+//! pictures.
 //!
 //!     cargo run --release -p trimip-tests --example large_scene -- FOLDER COUNT WIDTH HEIGHT
 

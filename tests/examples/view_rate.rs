@@ -1,5 +1,5 @@
-//! How fast `view` answers, seen by a real browser: pictures per second while the camera turns, milliseconds from input to
-//! picture, bytes of a picture, and memory of the server.
+//! Measures how fast `view` responds in a real browser: pictures per second while the camera turns, milliseconds from
+//! input to picture, bytes of a picture, and memory of the server.
 //!
 //! `cargo run --release -p trimip-tests --example view_rate -- RUN [volume|hybrid] [SIDE]`
 
@@ -8,13 +8,13 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use trimip_tests::watching::{Browser, Shown};
 
-/// How long the camera turns.
+/// Duration of the camera's turn.
 const TURNING: Duration = Duration::from_secs(10);
 
-/// Until the finest picture is there.
+/// Time allowed for the finest picture to arrive.
 const SETTLING: Duration = Duration::from_secs(3);
 
-/// Interval between two moves of the mouse: those of a display with 60 Hz.
+/// Interval between two mouse moves, as on a display with 60 Hz.
 const MOVE: Duration = Duration::from_millis(16);
 
 fn main() {

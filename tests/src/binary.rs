@@ -32,7 +32,7 @@ impl Answer {
     }
 }
 
-/// Asserts that the program refuses in one line that contains `parts`, and that it changes, removes and writes no file.
+/// Asserts that the program fails with one line that contains `parts`, and that it changes, removes and writes no file.
 ///
 /// # Panics
 /// If it does otherwise.
@@ -57,7 +57,7 @@ pub fn program() -> &'static Path {
     PROGRAM.get_or_init(|| build("plain", &[]))
 }
 
-/// The folder of what is built in the profile of the running test.
+/// Folder of the build outputs for the profile of the running test.
 fn built() -> PathBuf {
     // <target>/<profile>/deps/<test>
     let test = std::env::current_exe().expect("a test knows its own path");
@@ -80,7 +80,7 @@ pub fn profile() -> String {
     }
 }
 
-/// Builds `trimip-cli` with further arguments for cargo. Returns a path that only builds of this `name` have: the next build
+/// Builds `trimip-cli` with further arguments for cargo. Returns a path of its own for each `name`, because the next build
 /// with other arguments replaces the file that cargo writes.
 ///
 /// # Panics
@@ -89,7 +89,8 @@ pub fn build(name: &str, arguments: &[&str]) -> PathBuf {
     static BUILDING: Mutex<()> = Mutex::new(());
     let _building = BUILDING.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = built();
-    // With an example, cargo gives dependencies the features that they have for the tests, and does not compile them again.
+    // With an example in the build, cargo selects the same features for the dependencies as for the tests, and compiles
+    // nothing twice.
     let built = Command::new(env!("CARGO"))
         .args(["build", "--quiet", "--locked", "--workspace", "--bin", "trimip-cli", "--example", "corpus"])
         .args(["--profile", &profile(), "--target-dir"])
@@ -103,7 +104,7 @@ pub fn build(name: &str, arguments: &[&str]) -> PathBuf {
     std::fs::create_dir_all(&own).expect("the target folder can be written");
     let own = own.join(built.file_name().expect("a program has a name"));
     let _ = std::fs::remove_file(&own);
-    // Cargo never changes a program that it has built, it replaces it.
+    // A hard link is safe: cargo replaces a built program and never changes it in place.
     std::fs::hard_link(&built, &own)
         .or_else(|_| std::fs::copy(&built, &own).map(drop))
         .expect("room for a copy of the program");

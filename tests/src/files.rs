@@ -1,4 +1,4 @@
-//! Folders as values: what a command may and may not have changed.
+//! Folders as values, to compare what a command has changed.
 
 use std::{
     collections::BTreeMap,
@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// All files below a folder with their bytes, by their paths from it.
+/// Returns the bytes of all files below a folder, by their relative paths.
 ///
 /// # Panics
 /// If the folder cannot be read.
@@ -24,7 +24,7 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// Copies a folder with all that is in it.
+/// Copies a folder with all its files.
 ///
 /// # Panics
 /// If a file cannot be read or written.

@@ -75,10 +75,10 @@ pub fn small() -> Config {
     config
 }
 
-/// The same with a hash grid of four levels. The last two levels are hashed, and feature rows are padded.
+/// `small` with a hash grid of four levels. The last two levels are hashed, and feature rows are padded.
 fn small_hash_grid() -> Config {
     let (mut config, defaults) = (small(), Config::default());
-    // A hash grid refuses settings of the planes.
+    // A hash grid rejects settings of the planes.
     config.encoder = EncoderConfig { kind: EncoderKind::HashGrid, ..defaults.encoder };
     config.optimizer.plane_scale = defaults.optimizer.plane_scale;
     config.hash_grid = HashGridConfig {
@@ -92,7 +92,7 @@ fn small_hash_grid() -> Config {
     config
 }
 
-/// The same with entries of four features, and colours of weighty samples alone.
+/// `small_hash_grid` with entries of four features, and colours only for samples of sufficient weight.
 fn wide_hash_grid() -> Config {
     let mut config = small_hash_grid();
     (config.hash_grid.features, config.hash_grid.levels) = (4, 5);
@@ -100,19 +100,19 @@ fn wide_hash_grid() -> Config {
     config
 }
 
-/// The same with features of narrow cells weighed down, read at one point or six.
+/// `small_hash_grid` with levels downweighted where cells are narrow, read at one point or six.
 pub fn small_zip(points: u32) -> Config {
     let mut config = small_hash_grid();
     (config.hash_grid.points, config.hash_grid.downweight) = (points, true);
     config
 }
 
-/// The encoders that grow during a run, small.
+/// Small configurations of the encoders that grow during a run.
 pub fn growing() -> [Config; 3] {
     [growing_hash_grid(), growing_tensor(), growing_voxels()]
 }
 
-/// The same with levels that come into use during a run.
+/// `small_hash_grid` with levels that become active during a run.
 pub fn growing_hash_grid() -> Config {
     let mut config = small_hash_grid();
     let all = f64::from(config.hash_grid.levels);
@@ -120,7 +120,7 @@ pub fn growing_hash_grid() -> Config {
     config
 }
 
-/// The same with ripmaps on six planes, three levels along each axis.
+/// `small` with ripmaps on six planes, three levels along each axis.
 fn small_rip_map() -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::RipMap, ..defaults.encoder };
@@ -129,7 +129,7 @@ fn small_rip_map() -> Config {
     config
 }
 
-/// The same on three or ten planes of a box with three different sides.
+/// `small_rip_map` on three or ten planes of a box with three different sides.
 fn other_rip_maps() -> [Config; 2] {
     [3, 10].map(|planes| {
         let mut config = small_rip_map();
@@ -140,7 +140,7 @@ fn other_rip_maps() -> [Config; 2] {
     })
 }
 
-/// The same with the factors of small tensors, TensoRF's networks, and colours of weighty samples alone.
+/// `small` with the factors of small tensors, TensoRF's networks, and colours only for samples of sufficient weight.
 fn small_tensor() -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::Tensor, ..defaults.encoder };
@@ -155,7 +155,7 @@ fn small_tensor() -> Config {
     config
 }
 
-/// The same with factors that grow twice during a run.
+/// `small_tensor` with factors that grow twice during a run.
 pub fn growing_tensor() -> Config {
     let mut config = small_tensor();
     config.tensor.sides = Schedule::new(vec![[0.0, 5.0], [0.2, 7.0], [0.4, 9.0]]);
@@ -163,7 +163,7 @@ pub fn growing_tensor() -> Config {
     config
 }
 
-/// The same with products of three lines, in a box with three different sides.
+/// `small_tensor` with products of three lines, in a box with three different sides.
 fn small_lines() -> Config {
     let mut config = small_tensor();
     config.tensor.decomposition = Decomposition::Cp;
@@ -172,7 +172,7 @@ fn small_lines() -> Config {
     config
 }
 
-/// The same with positional encodings: plain, or integrated over the Gaussian of a sample.
+/// `small` with positional encodings: plain, or integrated over the Gaussian of a sample.
 fn small_frequencies(integrated: bool) -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::Frequencies, ..defaults.encoder };
@@ -195,14 +195,14 @@ fn small_voxels() -> Config {
     config
 }
 
-/// The same with a grid that grows twice during a run.
+/// `small_voxels` with a grid that grows twice during a run.
 pub fn growing_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.sides = Schedule::new(vec![[0.0, 4.0], [0.2, 5.0], [0.4, 7.0]]);
     config
 }
 
-/// The same with nine harmonics, in a box with three different sides.
+/// `small_voxels` with nine harmonics, in a box with three different sides.
 fn other_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.harmonics = 3;
@@ -211,7 +211,7 @@ fn other_voxels() -> Config {
     config
 }
 
-/// The planes under networks like NeRF's: biases, the input joined again, another width for colour, a rectified density.
+/// `small` with networks like NeRF's: biases, a skip connection, another width for colour, a rectified density.
 pub fn nerf_networks() -> Config {
     let mut config = small();
     let field = &mut config.field;
@@ -222,7 +222,7 @@ pub fn nerf_networks() -> Config {
     config
 }
 
-/// The planes with the level of a sample as one more feature.
+/// `small` with the mip level of a sample as an additional feature.
 fn with_level() -> Config {
     let mut config = small();
     config.encoder.level_input = true;
@@ -239,7 +239,7 @@ pub fn encoded(config: Config, by: &Config) -> Config {
     let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
     let renderer =
         RendererConfig { color_weight: by.renderer.color_weight.clone(), ..config.renderer.clone() };
-    // Features that sum up to the density need networks of their own.
+    // Density features of tensors sum up to the density and need networks of their own.
     let field = if by.encoder.kind == EncoderKind::Tensor { by.field.clone() } else { config.field };
     Config {
         encoder,
@@ -260,7 +260,7 @@ pub fn every_encoder() -> Vec<Config> {
     vec![small(), small_hash_grid(), small_rip_map(), small_tensor(), small_frequencies(true), small_voxels()]
 }
 
-/// The same, and variants of them that compute their features another way.
+/// [`every_encoder`], and variants that compute their features in other ways.
 pub fn every_variant() -> Vec<Config> {
     let mut all = every_encoder();
     all.push(wide_hash_grid());
@@ -337,7 +337,7 @@ pub fn photographs(
     set
 }
 
-/// A depth around that of the origin, which is 4.
+/// Known depth of a pixel, near the origin's distance of 4.
 fn known_depth(pixel: u32) -> KnownDepth {
     let varied = |period: u32| (pixel % period) as f32 / period as f32;
     KnownDepth { pixel, distance: 3.0 + 2.0 * varied(17), deviation: 0.05 + 0.4 * varied(7) }
@@ -375,7 +375,7 @@ pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -
     values
 }
 
-/// Test frames of one set each.
+/// Test frames, one set of views each.
 pub struct GivenFrames(pub Vec<ViewSet>);
 
 impl Frames for GivenFrames {

@@ -1,5 +1,5 @@
-//! Adapters for the tests. On a machine without one, tests are skipped with a message. If `TRIMIP_REQUIRE_GPU` is set,
-//! they fail instead.
+//! GPU adapters for the tests. On a machine without an adapter, tests are skipped with a message. If `TRIMIP_REQUIRE_GPU` is
+//! set, they fail instead.
 
 use std::sync::Mutex;
 use trimip_core::Result;
@@ -13,9 +13,9 @@ const SHARE: usize = 16;
 
 /// Runs `part` on the best adapter with each of the `additions` that it supports.
 ///
-/// A few backends of a part share a device and its compiled kernels: Mesa's software driver never frees the code of a kernel,
+/// Several backends share a device and its compiled kernels, because Mesa's software driver never frees the code of a kernel,
 /// and a process that compiles tens of thousands of them runs out of memory mappings. The driver also keeps some memory of every
-/// dispatch for as long as the device lives, so a device does not serve a whole part.
+/// dispatch for as long as the device lives, so the backends of a part use several devices.
 ///
 /// # Panics
 /// If `part` fails, or if an adapter is required and there is none.

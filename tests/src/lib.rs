@@ -1,6 +1,6 @@
-//! Shared parts of the tests across crates: the whole model in f64 ([`mod@reference`]), small test problems
-//! ([`fixtures`]), the program under test ([`binary`]), its pages ([`pages`]), the tests that every backend must pass ([`suite`]), what any bytes
-//! get from every reader ([`formats`]), zip archives of any kind ([`zip`]), and the lists of ARCHITECTURE.md ([`lists`]).
+//! Shared parts of the tests across crates: the whole model in f64 ([`mod@reference`]), small test problems ([`fixtures`]), the program
+//! under test ([`binary`]), its pages ([`pages`]), the tests that every backend must pass ([`suite`]), the checks that every file reader
+//! must pass for arbitrary bytes ([`formats`]), zip archives of any kind ([`zip`]), and the lists of ARCHITECTURE.md ([`lists`]).
 
 #![deny(unsafe_code)]
 

@@ -1,6 +1,6 @@
-//! The lists of ARCHITECTURE.md: the files of a new member of a registry, `NAME` in place of its name. In the numbered items every
-//! quoted path is a place of the list, a file or a folder. A sentence that begins with "If" names what some members need alone, one
-//! with `TRIMIP_WRITE_DOCS` what a command writes. Text between the items names files for other reasons.
+//! The lists of ARCHITECTURE.md: the files of a new member of a registry, with `NAME` for the member's name. Every path quoted in a
+//! numbered item is a place of the list: a file or a folder. A sentence that begins with "If" lists places that only some members
+//! need; a sentence with `TRIMIP_WRITE_DOCS` lists places that a command writes. Paths between the items are no places.
 
 /// The members that need a place of a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,7 +9,7 @@ pub enum Need {
     Every,
     /// Some members.
     Some,
-    /// A command, which writes it from the others.
+    /// A command that writes the place from the others.
     Written,
 }
 
@@ -75,7 +75,7 @@ fn items(section: &str) -> Vec<String> {
     items
 }
 
-/// The paths that a text quotes: with a slash, or a page of the root.
+/// The paths that a text quotes: those with a slash, and Markdown files of the root.
 fn paths(text: &str) -> impl Iterator<Item = &str> {
     let quoted = text.split('`').skip(1).step_by(2);
     quoted.filter(|text| !text.contains(' ') && (text.contains('/') || text.ends_with(".md")))

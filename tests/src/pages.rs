@@ -1,4 +1,4 @@
-//! What holds of every page that the program writes, in a real browser: it fits telephones and wide screens.
+//! Checks of every page that the program writes, in a real browser: it fits telephones and wide screens.
 
 use crate::watching::Browser;
 use serde_json::{Value, json};
@@ -10,12 +10,12 @@ pub const TELEPHONE: u32 = 390;
 /// Widths of the windows, pixels: a telephone, a laptop and a wide screen.
 const WIDTHS: [u32; 3] = [TELEPHONE, 1200, 1920];
 
-/// Height of the windows, pixels, and of the largest picture of a page.
+/// Height of the windows, and of the tallest screenshot of a page, pixels.
 const HEIGHT: u32 = 900;
 const TALLEST: u64 = 12_000;
 
-/// Lists what is cut off. An element is cut off where it reaches out of the window and nothing around it scrolls, a label where it
-/// reaches out of its drawing. Closed sections are opened first.
+/// Lists cut-off elements. An element is cut off if it extends beyond the window and no element around it scrolls; a label, if it
+/// extends beyond its drawing. The script opens closed sections first.
 const CUT_OFF: &str = "(() => {
     document.querySelectorAll('details').forEach((part) => { part.open = true; });
     const scrolls = (element) => element && element !== document.body
@@ -31,10 +31,10 @@ const CUT_OFF: &str = "(() => {
     return out;
 })()";
 
-/// Opens a page in windows of all widths, light, dark and as it is printed.
+/// Opens a page in windows of all widths, in light and dark colours and in print.
 ///
 /// # Panics
-/// If anything of it is cut off.
+/// If any part of the page is cut off.
 pub fn expect_fits(path: &Path) {
     let Some(mut browser) = Browser::start(WIDTHS[1], HEIGHT) else { return };
     let name = path.file_stem().expect("a page has a name").to_string_lossy().into_owned();
@@ -57,15 +57,15 @@ pub fn expect_fits(path: &Path) {
     }
 }
 
-/// Asserts that nothing of the page that is open is cut off; `what` describes it.
+/// Asserts that no part of the open page is cut off; `what` describes the page.
 ///
 /// # Panics
-/// If something is.
+/// If any part is cut off.
 pub fn expect_nothing_cut_off(browser: &mut Browser, what: &str) {
     assert_eq!(browser.value(CUT_OFF), json!([]), "{what}");
 }
 
-/// Gives the page a window of this size, pixels. Chromium's own are not as narrow as telephones.
+/// Sets the size of the page's window in pixels. Chromium's own windows are not as narrow as telephones.
 pub fn resize(browser: &mut Browser, width: u32, height: u32) {
     let size: Value = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
     browser.call("Emulation.setDeviceMetricsOverride", size);

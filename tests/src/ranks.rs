@@ -6,30 +6,30 @@ use std::time::Duration;
 use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
-/// A rank that is silent for so long has ended.
+/// A rank that is silent for longer counts as ended.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 type Message = (usize, Vec<u8>);
 
-/// One rank. Messages of a all_to_all and those that are sent and received have channels of their own.
+/// One rank. `all_to_all` and `send` use channels of their own.
 pub struct Threads {
     this_rank: Rank,
     traded: Vec<Sender<Message>>,
     trades: Mutex<Inbox>,
     sent: Vec<Sender<Message>>,
     received: Mutex<Receiver<Message>>,
-    /// Bytes sent in trades.
+    /// Number of bytes sent by `all_to_all`.
     pub bytes: Mutex<u64>,
 }
 
-/// What came in, by sender. A rank may be one all_to_all ahead of another.
+/// Received messages by sender. A rank may be one `all_to_all` ahead of another.
 struct Inbox {
     receiver: Receiver<Message>,
     early: Vec<Vec<Vec<u8>>>,
 }
 
 impl Threads {
-    /// `count` ranks that know each other.
+    /// Creates `count` connected ranks.
     pub fn new(count: usize) -> Vec<Arc<Self>> {
         let (traded, trades): (Vec<_>, Vec<_>) = (0..count).map(|_| channel()).unzip();
         let (sent, received): (Vec<_>, Vec<_>) = (0..count).map(|_| channel()).unzip();

@@ -1,4 +1,4 @@
-//! A program that shows a model, and who looks at it: plain HTTP, a web socket, a real browser.
+//! A program that shows a model, and its clients: plain HTTP, a web socket, a real browser.
 
 use crate::binary::command;
 use serde_json::{Value, json};
@@ -15,7 +15,7 @@ use tungstenite::{Message, WebSocket};
 /// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// The list of keys of a page that shows a model: what is pressed or dragged, and what that does.
+/// Expected list of keys on a page that shows a model: the input and its effect.
 const KEYS: [[&str; 2]; 6] = [
     ["drag, ← → ↑ ↓", "turn"],
     ["right button or shift and drag, shift and ← → ↑ ↓", "move sideways"],
@@ -25,7 +25,7 @@ const KEYS: [[&str; 2]; 6] = [
     ["?", "these keys"],
 ];
 
-/// `trimip-cli view` that runs; it is ended with this value.
+/// A running program that serves a page. Dropping the value kills the program.
 pub struct Shown {
     child: Child,
     /// `127.0.0.1:PORT`.
@@ -57,7 +57,7 @@ impl Shown {
         Self::at(child, BufReader::new(out))
     }
 
-    /// Starts a training that is watched.
+    /// Starts a training run that serves a page.
     ///
     /// # Panics
     /// If it does not print an address.
@@ -71,7 +71,7 @@ impl Shown {
         Self::at(child, BufReader::new(err))
     }
 
-    /// A program that tells its address in its first line.
+    /// Reads the address that a program prints in its first line.
     fn at(child: Child, mut told: impl BufRead + Send + 'static) -> Self {
         let mut line = String::new();
         told.read_line(&mut line).expect("it prints its address");
@@ -79,12 +79,12 @@ impl Shown {
         let address = address.split_whitespace().next().expect("an address").trim_end_matches('/');
         let (host, token) = address.split_once('/').expect("a token");
         let (host, token) = (host.to_string(), token.to_string());
-        // What it prints later is read, so that it never waits.
+        // Later output is read too, so that the program never blocks.
         std::thread::spawn(move || std::io::copy(&mut told, &mut std::io::sink()));
         Self { child, host, token }
     }
 
-    /// Waits for the end of the program; its exit code.
+    /// Waits for the end of the program; returns its exit code.
     ///
     /// # Panics
     /// If it does not end.
@@ -145,7 +145,7 @@ impl Shown {
         }
     }
 
-    /// Resident memory, bytes; `None` where the system does not tell.
+    /// Resident memory, bytes; `None` if the system does not report it.
     pub fn memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status.lines().find(|line| line.starts_with("VmRSS"))?;
@@ -180,7 +180,7 @@ pub struct Page {
 
 /// A picture that the server sent.
 pub struct Received {
-    /// What stands before it.
+    /// JSON header before the picture.
     pub header: Value,
     /// JPEG bytes.
     pub jpeg: Vec<u8>,
@@ -195,7 +195,7 @@ impl Page {
         self.socket.send(Message::text(text))
     }
 
-    /// The next state of the run that is watched; pictures before it are dropped.
+    /// Returns the next status of the training run; pictures before it are dropped.
     ///
     /// # Panics
     /// If the socket closes first, or something else comes.
@@ -213,7 +213,7 @@ impl Page {
         }
     }
 
-    /// The next picture; status messages before it are dropped.
+    /// Returns the next picture; status messages before it are dropped.
     ///
     /// # Panics
     /// If the socket closes first, or an error comes.
@@ -226,10 +226,10 @@ impl Page {
         }
     }
 
-    /// The next message: a picture, or the text of an error.
+    /// Returns the next message: a picture, or a text as the error.
     ///
     /// # Errors
-    /// The error of the server; or why the socket closed.
+    /// The text of the message, or the reason why the socket closed.
     pub fn receive(&mut self) -> Result<Received, String> {
         loop {
             match self.socket.read().map_err(|error| error.to_string())? {
@@ -245,7 +245,7 @@ impl Page {
         }
     }
 
-    /// Asks for a view and waits for its finest picture.
+    /// Requests a view and waits for its finest picture.
     ///
     /// # Errors
     /// As [`receive`](Self::receive).
@@ -285,8 +285,8 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Starts Chromium; `None`, with a line that says so, where there is none. With `TRIMIP_REQUIRE_BROWSER=1` it has to be
-    /// there.
+    /// Starts Chromium. Without Chromium, prints a line and returns `None`; with `TRIMIP_REQUIRE_BROWSER=1` it panics
+    /// instead.
     ///
     /// # Panics
     /// If it does not start.
@@ -366,7 +366,7 @@ impl Browser {
         self.try_call(method, parameters).unwrap_or_else(|error| panic!("{method}: {error}"))
     }
 
-    /// As [`call`](Self::call); `Err` holds the browser's refusal.
+    /// As [`call`](Self::call); `Err` is the browser's refusal.
     fn try_call(&mut self, method: &str, parameters: Value) -> Result<Value, Value> {
         self.next += 1;
         let id = self.next;
@@ -398,7 +398,7 @@ impl Browser {
         self.evaluate(expression).unwrap_or_else(|error| panic!("{expression}: {error}"))
     }
 
-    /// The value of an expression; `Err` is the exception that it throws, or why the page does not answer.
+    /// The value of an expression; `Err` is the exception that it throws, or the reason why the page does not answer.
     fn evaluate(&mut self, expression: &str) -> Result<Value, Value> {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let answer = self.try_call("Runtime.evaluate", parameters)?;
@@ -409,11 +409,11 @@ impl Browser {
         }
     }
 
-    /// Waits until an expression is true. A page that is just left or half loaded refuses to answer or throws: that is not
-    /// yet true.
+    /// Waits until an expression is true. A page that is being left or loaded may refuse to answer or throw; this counts as
+    /// not yet true.
     ///
     /// # Panics
-    /// If it stays false; with the last answer.
+    /// If it stays false; the message contains the last answer.
     pub fn wait(&mut self, expression: &str) {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -451,7 +451,7 @@ impl Browser {
     /// Opens the list of keys of a page that shows a model, by its key and by its button, and closes it again.
     ///
     /// # Panics
-    /// If the list does not open or close, or does not hold all keys.
+    /// If the list does not open or close, or lacks a key.
     pub fn check_list_of_keys(&mut self) {
         let open = "document.getElementById('keys').open";
         let rows = "[...document.querySelectorAll('#keys dt')].map((keys) =>
@@ -470,12 +470,12 @@ impl Browser {
         }
     }
 
-    /// True if screenshots are kept for a person: `TRIMIP_SCREENSHOTS` names their folder.
+    /// True if screenshots are kept for inspection: `TRIMIP_SCREENSHOTS` names their folder.
     pub fn keeps() -> bool {
         std::env::var_os("TRIMIP_SCREENSHOTS").is_some()
     }
 
-    /// Keeps a screenshot, if they are kept.
+    /// Writes a screenshot if `TRIMIP_SCREENSHOTS` is set.
     ///
     /// # Panics
     /// If it cannot be written.

@@ -1,4 +1,4 @@
-//! What a run that was interrupted has to end with: everything an uninterrupted run has, and nothing else.
+//! Expected result of an interrupted run: everything an uninterrupted run has, and nothing else.
 
 use crate::files::files;
 use serde_json::Value;
@@ -8,7 +8,7 @@ use std::{
 };
 use trimip_core::engine::{checkpoint::Checkpoint, events::Event};
 
-/// A run that nothing interrupted.
+/// The files of an uninterrupted run.
 pub struct Whole {
     files: BTreeMap<PathBuf, Vec<u8>>,
 }
@@ -21,11 +21,11 @@ impl Whole {
         whole
     }
 
-    /// Compares a run that was interrupted and went on with this one: the same files, bit for bit but for times, and a
-    /// whole report.
+    /// Compares an interrupted and continued run with this one: the same files, bit for bit except for times, and a whole
+    /// report.
     ///
     /// # Errors
-    /// What differs.
+    /// The first difference.
     pub fn is_ended_by(&self, folder: &Path) -> Result<(), String> {
         let found = files(folder);
         let names = |files: &BTreeMap<PathBuf, Vec<u8>>| files.keys().cloned().collect::<Vec<_>>();
@@ -57,11 +57,11 @@ impl Whole {
     }
 }
 
-/// Files that hold no time.
+/// Files that contain no time.
 const TIMELESS: [&str; 4] = ["model.safetensors", "views.json", "config.toml", "plan.json"];
 
-/// The lines of a curve without seconds, samples and rays. A device that runs ahead tells the counts of a step later, or at
-/// once if a checkpoint waits for it.
+/// The lines of a curve without seconds, samples and rays. A device that runs ahead reports these counts a step later, or
+/// at once if a checkpoint waits for them.
 fn timeless_curve(csv: &[u8]) -> Vec<String> {
     let text = String::from_utf8_lossy(csv);
     let kept = |line: &str| {
@@ -71,11 +71,11 @@ fn timeless_curve(csv: &[u8]) -> Vec<String> {
     text.lines().map(kept).collect()
 }
 
-/// Whether every file in a run folder is whole, however the run was interrupted. The last line of the events may be
-/// torn, and half of a file may lie beside its place.
+/// Checks that every file in a run folder is whole, however the run was interrupted. The last line of the events may be
+/// torn, and a half-written `.tmp` file may remain.
 ///
 /// # Errors
-/// What is broken.
+/// The broken file and its error.
 pub fn is_sound(folder: &Path) -> Result<(), String> {
     for (name, bytes) in files(folder) {
         let sound = match name.to_string_lossy().as_ref() {

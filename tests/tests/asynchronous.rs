@@ -27,7 +27,7 @@ fn waited<T>(future: impl Future<Output = T>) -> (T, usize) {
     (value, pending)
 }
 
-/// Models for every encoder: one trained briefly, and one of fog.
+/// Two models for every encoder: one trained briefly, one lively with a full occupancy grid.
 fn models() -> Vec<Model> {
     let mut models = Vec::new();
     for encoder in fixtures::every_encoder() {

@@ -71,7 +71,7 @@ fn a_run_leaves_a_whole_folder_and_is_not_run_twice() {
         let map = view["flip_map"].as_str().expect("every view has a picture");
         assert!(view["flip"].is_f64() && run_folder.join("images").join(map).is_file(), "{view}");
     }
-    // Evaluations on the way do without.
+    // Evaluations during the run have no FLIP.
     let events = fs::read_to_string(run_folder.join("metrics.jsonl")).unwrap();
     let first = events.lines().find(|line| line.contains("\"kind\":\"evaluation\"")).unwrap();
     assert!(first.contains("\"flip\":null") && first.contains("\"last\":false"), "{first}");
@@ -162,7 +162,7 @@ fn a_missed_floor_fails_with_its_report_written() {
 #[test]
 fn a_killed_run_leaves_a_whole_checkpoint_and_the_same_command_finishes_it() {
     let folder = tempfile::tempdir().unwrap();
-    // A time budget: the run takes equally long on any machine.
+    // With a time budget, the run takes equally long on any machine.
     let more = ["--out", "run", "--set", "train.seconds=3", "--set", "train.checkpoint_seconds=0.02"];
     let arguments = tiny_and(&[&more[..], &["--set", "eval.points=0"]].concat());
     let checkpoint = folder.path().join("run/checkpoint.safetensors");
@@ -312,7 +312,7 @@ fn an_archive_stands_for_its_folder() {
     let filler = Entry::deflated("filler.bin", &vec![0; 64 << 20]);
     fs::write(here.join("a.zip"), archive(&[packed(&here.join("scene"), "lego/"), vec![filler]].concat()))
         .unwrap();
-    // One that is killed leaves a folder that none takes for whole.
+    // A killed extraction leaves a folder that no later command mistakes for a whole one.
     let mut killed = command(here, &["plan", "a.zip"]).spawn().unwrap();
     while !here.join("a.zip.tmp/filler.bin").exists() && killed.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(1));
@@ -371,7 +371,7 @@ fn a_bench_lays_variants_and_seeds_beside_each_other() {
         assert!(row["psnr"].is_f64() && row["seconds"].as_f64().is_some_and(|s| s > 0.0));
     }
     assert!(rows.iter().any(|row| row["pareto"] == true), "some variant is on the front");
-    // The base is hidden = 16 under another name: the same bits and figures.
+    // The base is `hidden = 16` under another name: both have the same bits and figures.
     assert_eq!(rows[0]["psnr"], rows[2]["psnr"]);
     let csv = fs::read_to_string(folder.path().join("b/bench.csv")).unwrap();
     assert_eq!(csv.lines().count(), 5);
@@ -435,7 +435,7 @@ fn a_bench_of_cones_measures_every_scale_by_every_convention() {
         assert!(sides.is_sorted() && [1, 2, 4, 8].iter().all(|side| sides.contains(side)), "{sides:?}");
         let own = scale.iter().filter(|row| row["own"] == true).count();
         assert_eq!(own, 1, "the model's own number is among them: {scale:?}");
-        // More cones are nearer to the average of the most, which has no distance from itself.
+        // More cones are nearer to the average of the largest number, which has no distance to itself.
         let converged = |i: usize| scale[i]["psnr_converged"].as_f64();
         assert!(converged(0) <= converged(finest - 2) && converged(finest - 1).is_none(), "{scale:?}");
         assert!(scale.iter().any(|row| row["pareto"] == true));
@@ -446,7 +446,7 @@ fn a_bench_of_cones_measures_every_scale_by_every_convention() {
     let csv = fs::read_to_string(folder.path().join("c/cones.csv")).unwrap();
     assert_eq!(csv.lines().count(), rows.len() + 1);
     assert!(fs::read_to_string(folder.path().join("c/cones.svg")).unwrap().contains("seconds a view"));
-    // The figures of one cone are those of `eval`, view for view.
+    // The figures of one cone are those of `eval`, at every scale.
     let one = ["eval", "run", "--stride", "1000", "--set", "renderer.cones=1", "--json", "eval.json"];
     assert_eq!(run(folder.path(), &one).code, Some(0));
     let measured = json(&folder.path().join("eval.json"));

@@ -49,7 +49,7 @@ fn a_run_stops_goes_on_and_is_evaluated_on_either_backend() {
             let psnr = found["mean"]["psnr"].as_f64().expect("a number");
             assert!((psnr - trained).abs() < 0.02, "{backend}: {psnr} dB, trained with {trained} dB");
         }
-        // A run of the other backend resumes here.
+        // A run that began on the other backend resumes here.
         let began = run(folder, &tiny_and(&["--out", "moved", "--stop-after", "5"]));
         assert_eq!(began.code, Some(0), "{}", began.err);
         assert!(on("moved", &[]).out.contains("\"resumed\""));

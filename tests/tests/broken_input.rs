@@ -130,7 +130,7 @@ fn broken_archives_are_refused() {
         refuses(here, &training, &places);
         assert!(!here.join("a").exists() && !here.join("a.zip.tmp").exists());
     }
-    // The folder of another.
+    // `scene` was not unpacked from this archive.
     fs::write(here.join("scene.zip"), good).unwrap();
     refuses(here, &["plan", "scene.zip"], &["scene: is where scene.zip is to be unpacked", "name scene"]);
     fs::write(here.join("scene.tar"), "").unwrap();
@@ -156,7 +156,7 @@ fn wrong_settings_and_arguments_are_refused() {
         (&["--set"], &["--set"]),
         (&["--frobnicate"], &["--frobnicate"]),
         (&["--stop-after", "soon"], &["--stop-after", "soon"]),
-        // Before it reads photographs or trains, whether the build has LPIPS or not.
+        // Refused before any photograph is read, whether or not the build has LPIPS.
         (
             &["--set", "data.format=builtin", "--set", "eval.lpips=gone.onnx"],
             &["gone.onnx", "eval.lpips=\"\""],

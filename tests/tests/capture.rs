@@ -1,6 +1,6 @@
-//! The verb `capture`, with programs that imitate ffmpeg, COLMAP of several versions, pycolmap and glomap: what they are called with,
-//! which is chosen, what is kept when one fails or is killed, and what the user is told. `TRIMIP_REQUIRE_COLMAP=1` runs the test of
-//! `fakes/real.rs` too, which calls the real programs.
+//! The verb `capture`, with programs that imitate ffmpeg, COLMAP of several versions, pycolmap and glomap: the arguments of their
+//! calls, the choice among them, the files that remain when one fails or is killed, and the messages to the user.
+//! `TRIMIP_REQUIRE_COLMAP=1` also runs the test of `fakes/real.rs`, which calls the real programs.
 
 #![cfg(unix)]
 
@@ -70,7 +70,7 @@ fn photographs_become_a_scene_by_colmap_3_8() {
     assert!(log.contains("feature_extractor") && log.contains("Processed file [12/12]"), "{log}");
     assert!(told.contains("\"done\":1,\"total\":12"), "{told}");
 
-    // The same command again does nothing, also without any program; the scene is one.
+    // The same command again does nothing, even without any program. The result is a scene that other verbs read.
     let whole = files(&place.path("captures/walk"));
     fs::remove_dir_all(place.path("fake/bin")).unwrap();
     let again = place.captures(&["walk"]);
@@ -120,7 +120,7 @@ fn programs_are_chosen_in_order_or_as_asked_for() {
     );
     assert!(calls[2].contains("\"models\":\"models.part\"") && place.has("a/log/poses.py"), "{calls:?}");
 
-    // A colmap before version 4 comes after it, and before an older pycolmap.
+    // COLMAP before version 4 ranks below this pycolmap, and above an older pycolmap.
     place.colmap("3.8");
     assert!(place.captures(&["walk", "--out", "n"]).contains("placed by pycolmap 4.2.1"));
     place.sign("pycolmap", "pycolmap 3.10.0 False False\n");
@@ -136,7 +136,7 @@ fn programs_are_chosen_in_order_or_as_asked_for() {
         place.captures(&["walk", "--out", "c", "--poses", "pycolmap"]).contains("placed by pycolmap 4.2.1")
     );
     place.calls();
-    // Another program that comes later changes nothing that is done.
+    // A program that is installed later does not change finished stages.
     assert!(
         place.captures(&["walk", "--out", "a"]).contains("placed by pycolmap 4.2.1")
             && place.calls().is_empty()
@@ -189,7 +189,7 @@ fn a_film_of_any_name_gives_its_sharpest_frames() {
             && place.has("captures/-a fílm 1/sparse/0/images.bin")
     );
 
-    // An earlier ffmpeg has another name for the option.
+    // An older ffmpeg has another name for the option.
     place.sign("ffmpeg-help", "-vsync x\n");
     place.captures(&["--frames", "10", "--out", "old", "--", film]);
     assert!(place.calls()[0].contains("-vsync passthrough"));
@@ -214,7 +214,7 @@ fn a_stage_that_failed_is_done_again_and_those_before_it_are_kept() {
         assert_eq!(place.commands(), stages[index..=index].to_vec(), "{stage}");
         place.unsign(&format!("fail-{stage}"));
         if index + 1 < stages.len() {
-            // The next one stops the way, so that this stage is done.
+            // The next stage fails, so this one is finished.
             place.sign(&format!("fail-{}", stages[index + 1]), "E\n");
             assert_eq!(place.run(&["capture", "walk"]).code, Some(1));
             assert_eq!(place.commands(), stages[index..index + 2].to_vec());
@@ -242,7 +242,7 @@ fn what_is_changed_is_done_again_from_there() {
         place.captures(&[&["walk"], more].concat());
         assert_eq!(place.commands(), expected, "{more:?}");
     }
-    // Other photographs are another input; so is a picture that somebody removed.
+    // A removed photograph, or a removed picture of the capture, changes the input.
     for change in ["walk/11.jpg", "captures/walk/images/03.jpg"] {
         place.captures(&["walk"]);
         place.calls();
@@ -254,7 +254,7 @@ fn what_is_changed_is_done_again_from_there() {
     }
 }
 
-/// True if a process is there and no zombie.
+/// True if a process exists and is no zombie.
 fn lives(id: &str) -> bool {
     fs::read_to_string(format!("/proc/{id}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
 }
@@ -312,7 +312,7 @@ fn a_capture_that_is_killed_leaves_no_process_and_nothing_half_done() {
 fn missing_programs_are_told_with_the_line_that_installs_them() {
     let place = Place::new();
     fs::write(place.path("walk.mp4"), "a film").unwrap();
-    // The fake folder of programs is empty.
+    // No program is on the path.
     let refused = |arguments: &[&str], parts: &[&str]| {
         let answer = place.run(&[&["capture"], arguments].concat());
         answer.expect_error(2, parts);
@@ -323,7 +323,7 @@ fn missing_programs_are_told_with_the_line_that_installs_them() {
     refused(&["walk", "--poses", "colmap"], &["--poses colmap: no program colmap"]);
     refused(&["walk", "--poses", "pycolmap"], &["pip install pycolmap"]);
     refused(&["walk", "--poses", "glomap"], &["no program glomap"]);
-    // A Python without the package is none.
+    // A Python without pycolmap does not count.
     place.program("python3", include_str!("fakes/python3.sh"));
     refused(&["walk"], &["neither colmap nor"]);
 }
@@ -363,7 +363,7 @@ fn wrong_input_is_refused_with_what_to_do() {
         fs::copy(here.join("walk").join(name), here.join("other").join(name)).unwrap();
     }
     refused(&["other", "--out", "mine"], &["mine: holds the capture of ", "/walk"]);
-    // A broken film is told with what ffmpeg says of it.
+    // The error for a broken film contains ffmpeg's message.
     place.film("walk.mp4");
     place.sign("fail-ffmpeg", "");
     place
@@ -413,7 +413,7 @@ fn a_model_with_lost_cameras_is_tried_again_without_distortion() {
     assert!(page.contains("Without a camera") && page.contains("07.jpg"));
     let left: Vec<PathBuf> = files(&place.path("captures/walk")).into_keys().collect();
     assert!(left.iter().all(|path| !path.to_string_lossy().contains("again")), "{left:?}");
-    // The photograph is left out of whatever reads the scene.
+    // Readers of the scene leave the photograph out.
     let inspected = place.run(&["data", "inspect", "captures/walk"]);
     assert!(inspected.out.contains("1 of 12 photographs, the first 07,"), "{inspected:?}");
 
@@ -433,7 +433,7 @@ fn heic_is_converted_and_left_as_it_is() {
     for view in 0..VIEWS {
         let jpeg = fs::read(place.path(&format!("walk/{view:02}.jpg"))).unwrap();
         let heic = [b"\0\0\0\x18ftypheic\0\0\0\0\n", &jpeg[..]].concat();
-        // Some phones call it JPEG.
+        // Some phones name HEIC files `.jpg`.
         let name = if view % 2 == 0 { format!("IMG {view:02}.HEIC") } else { format!("IMG {view:02}.jpg") };
         fs::write(place.path("phone").join(name), heic).unwrap();
     }

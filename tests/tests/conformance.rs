@@ -220,7 +220,8 @@ fn ranks_that_add_gradients_learn_the_same() {
 
 #[test]
 fn more_ranks_than_parts_are_refused() {
-    // What binds is named: the leaves that the settings ask for, the samples of a step, the most leaves there are.
+    // The error names the limit that binds: the leaves in the settings, the samples of a step, or the largest number of
+    // leaves.
     for (ranks, leaves, samples, advice) in [
         (5, 4, 262_144, "train.leaves = 8"),
         (17, 64, 16_384, "train.samples_per_step"),

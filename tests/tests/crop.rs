@@ -1,4 +1,4 @@
-//! The crop of a place as a user meets it: chosen by the plan, kept in the model, applied to meshes, films and pages.
+//! The crop of a scene as a user meets it: chosen by the plan, stored in the model, applied to meshes, films and pages.
 
 use serde_json::{Value, json};
 use std::{fs, path::Path};
@@ -12,7 +12,7 @@ fn train(here: &Path, more: &[&str]) {
     assert_eq!(answer.code, Some(0), "{}", answer.err);
 }
 
-/// Vertices of the mesh that the program writes with these arguments, and what it says.
+/// Vertices of the mesh that the program writes with these arguments, and the program's output.
 fn mesh(here: &Path, more: &[&str]) -> (Vec<[f64; 3]>, String) {
     // After twenty steps space is a fog of low density.
     let export = ["export", "mesh", "run", "--out", "mesh.obj", "--resolution", "32", "--level", "0.01"];
@@ -91,11 +91,11 @@ fn pictures_show_the_crop_alone_and_by_default_the_whole_place() {
     let (whole, part) = (opacity("whole", &[]), opacity("part", &["--crop", "auto"]));
     assert!(part > 0.0 && part < whole, "{part} of {whole}");
     assert_eq!(opacity("nothing", &["--crop", "ball 900,900,900,1"]), 0.0);
-    // The same folder with another crop is another job.
+    // Another crop in the same folder is another job.
     assert_eq!(opacity("whole", &["--crop", "auto"]), part);
 }
 
-/// What `view` tells its page when it opens.
+/// The description of the scene that `view` sends to its page.
 fn about(shown: &Shown) -> Value {
     let (status, text) = shown.get(&format!("/{}/scene.json", shown.token), &[]);
     assert_eq!(status, 200);
@@ -108,7 +108,7 @@ fn pages_open_with_the_crop_that_is_asked_for() {
     let here = folder.path();
     let answer = run(here, &tiny_and(&["--out", "run", "--set", "scene.crop=ball 0,0,0,0.5"]));
     assert_eq!(answer.code, Some(0), "{}", answer.err);
-    // A given crop takes the place of the model's; without one the switch has the model's.
+    // A given crop replaces the model's crop. Without one, the page's switch applies the model's crop.
     let (own, given) = ("ball 0,0,0,0.5", "box -0.2,-0.2,-0.2,0.2,0.3,0.4");
     let nothing = "ball 900,900,900,1";
     for (options, crop, cropped) in [

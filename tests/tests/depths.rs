@@ -1,5 +1,5 @@
-//! A scene with depth images trains by the real binary with the depth term, which the plan and `data inspect` tell, and learns where
-//! its surfaces are.
+//! The real binary trains a scene of depth images with the depth term, and the model learns where the surfaces are. The plan and
+//! `data inspect` report the depths.
 
 use glam::DVec3;
 use serde_json::json;
@@ -72,7 +72,7 @@ fn a_scene_with_depth_images_is_trained_with_them_and_says_so() {
     let temporary = tempfile::tempdir().unwrap();
     let here = temporary.path();
     scene(&here.join("room"));
-    // 768 pixels and 192 of half the size, of each of 21 photographs, but those whose neighbours are much nearer or farther.
+    // Each of 21 photographs has 768 pixels, and 192 at half the size. Pixels with much nearer or farther neighbours are excluded.
     let inspected = run(here, &["data", "inspect", "room", "--set", "data.scales=2"]);
     done(&inspected);
     let line = "depth images of 21 of 21 training views, 32x24: the rays of ";

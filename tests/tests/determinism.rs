@@ -57,7 +57,8 @@ fn threads_change_no_bit() {
     configurations.push(several_cones);
     configurations.push(suite::training::drawn());
     configurations.extend(suite::losses::examples(&fixtures::small()).into_iter().map(|(_, config)| config));
-    // What a tile is given and where it adds is the same code for every instruction set: one of them meets all configurations.
+    // Assigning tiles and partial gradients is the same code for every instruction set, so only one set runs all
+    // configurations.
     let best = Simd::detect();
     let every = |(i, encoder)| {
         let met = sets.iter().filter(move |(simd, _)| i == 0 || *simd == best);

@@ -1,6 +1,6 @@
-//! Every list of ARCHITECTURE.md is followed for a small member, the dummy of `tests/dummies`: its files and the lines that make them
-//! known are those that the list names, and the workspace with all dummies compiles. A dummy is a folder with whole files under
-//! their paths in the workspace, and `lines.toml` with lines of files that are there.
+//! Follows every list of ARCHITECTURE.md for a small member, the dummy of `tests/dummies`: the files that it adds or changes are
+//! those that the list names, and the workspace with all dummies compiles. A dummy is a folder with whole files under their paths in
+//! the workspace, and a `lines.toml` with lines to add to existing files.
 //!
 //! `cargo test -p trimip-tests --test dummies -- --ignored --nocapture` also runs the suites of the registries over the dummies. It
 //! builds the tests a second time, which takes minutes.
@@ -27,14 +27,14 @@ const KINDS: [(&str, &str, usize); 6] = [
 /// Files below the root that are no sources.
 const LEFT_OUT: [&str; 4] = ["target", "runs", "data", "tests/dummies"];
 
-/// The tests that run over the registries, beside those in the crates.
+/// The tests that run over the registries, in addition to those in the crates.
 const SUITES: [&str; 8] =
     ["structure", "scenes", "conformance", "gpu", "gpu_and_cpu", "library", "formats", "formats_memory"];
 
 /// Files by their paths, with slashes.
 type Files = BTreeMap<String, Vec<u8>>;
 
-/// What is to be done to a file.
+/// A change of a file.
 #[derive(Deserialize)]
 struct Line {
     file: String,
@@ -43,7 +43,7 @@ struct Line {
     text: String,
 }
 
-/// Where a text belongs. A line is named by how it begins, without its indentation; no other line of the file begins so.
+/// Position of a text in a file. A line is identified by its beginning, without indentation; no other line of the file begins so.
 #[derive(Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Place {
@@ -56,7 +56,7 @@ enum Place {
 }
 
 impl Line {
-    /// The file with the text. The error says which place there is not, or is not alone.
+    /// Returns the file with the text. The error names a place that is missing or ambiguous.
     fn apply(&self, text: &str) -> Result<String, String> {
         let at = match &self.place {
             Place::Replace(old) => {
@@ -80,7 +80,7 @@ fn line(text: &str, anchor: &str) -> Result<Range<usize>, String> {
     one(lines.filter(|(line, _)| line.starts_with(anchor)).map(|(_, range)| range), anchor)
 }
 
-/// The only one of the places of a text.
+/// Returns the only place of a text.
 fn one<T>(mut places: impl Iterator<Item = T>, text: &str) -> Result<T, String> {
     match (places.next(), places.next()) {
         (Some(place), None) => Ok(place),
@@ -175,12 +175,12 @@ fn lists_name_the_files_of_their_dummies() {
 /// A copy of the workspace with all dummies, which cargo builds in the target folder of this test.
 struct Workspace {
     folder: PathBuf,
-    /// No other test has the copy at the same time.
+    /// Keeps other tests from using the copy at the same time.
     _lock: File,
 }
 
 impl Workspace {
-    /// Writes the files that differ from those of the last copy: cargo compiles what has changed alone.
+    /// Writes only the files that differ from those of the last copy, so cargo compiles only what has changed.
     fn new() -> Self {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dummies");
         fs::create_dir_all(&folder).expect("the target folder can be written");
@@ -208,8 +208,8 @@ impl Workspace {
     }
 }
 
-/// Gives the crates of the copy another version. Cargo knows a crate by its version and its place in the workspace: with the same
-/// ones it would take the copy's crates for the workspace's, in whose target folder they lie.
+/// Gives the crates of the copy another version. Cargo identifies a crate by its version and its place in the workspace. With the
+/// same version it would mistake the copy's crates for those of the workspace, which share the target folder.
 fn give_another_version(all: &mut Files) {
     let own = concat!("version = \"", env!("CARGO_PKG_VERSION"), "\"\n");
     let [major, minor] = [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR")];
@@ -220,7 +220,7 @@ fn give_another_version(all: &mut Files) {
         let parts: Vec<&str> = text.split(before).collect();
         let mut whole = parts[0].to_string();
         for part in &parts[1..] {
-            // In the lock a name stands before its version.
+            // In Cargo.lock a crate's name precedes its version.
             let (name, rest) = part.split_once(own).expect("a version of the workspace");
             whole += &[before, name, other, rest].concat();
         }
@@ -279,7 +279,7 @@ fn the_suites_of_the_registries_hold_for_the_dummies() {
     assert!(passes(&mut workspace.cargo(&["test", "--test", "program", "dummy"])), "the program fails");
 }
 
-/// What a line does to a text.
+/// Lines are put at their places.
 #[test]
 fn lines_are_put_where_they_say() {
     let apply = |place: &str| {

@@ -1,4 +1,4 @@
-//! `export` as a user runs it: files that other programs read, and answers to what cannot be exported.
+//! `export` as a user runs it: files that other programs can read, and errors for models that cannot be exported.
 
 use std::{fs, path::Path};
 use trimip_tests::binary::{run, tiny_and};
@@ -57,7 +57,7 @@ fn read_ply(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     ((0..vertices).map(place).collect(), (0..triangles).map(corners).collect())
 }
 
-/// Vertices and triangles of a GLB file, by its own description.
+/// Vertices and triangles of a GLB file, read as its JSON chunk describes them.
 fn read_glb(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     let bytes = fs::read(path).unwrap();
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
@@ -155,7 +155,7 @@ fn a_model_file_alone_is_enough_and_the_mesh_lies_beside_it() {
     let header = fs::read(here.join("alone/mesh.ply")).unwrap();
     let header = String::from_utf8_lossy(&header[..300]).into_owned();
     assert!(header.starts_with("ply\n") && header.contains("nx") && !header.contains("red"), "{header}");
-    // Not one byte differs when it is repeated.
+    // A repeated export writes the same bytes.
     let before = fs::read(here.join("alone/mesh.ply")).unwrap();
     assert_eq!(run(here, &[&alone[..], &["--triangles", "0"]].concat()).code, Some(0));
     assert_eq!(before, fs::read(here.join("alone/mesh.ply")).unwrap());

@@ -1,4 +1,5 @@
-//! Photographs of different exposures train to the same model as those of one, and their gains are found.
+//! Photographs of different exposures train a model as good as photographs of one exposure do, and training finds their
+//! gains.
 
 use trimip_core::{
     Config, Frame, Session, ViewSet, Viewer,
@@ -11,13 +12,13 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 use trimip_tests::fixtures::{GivenFrames, TestRandom, as_code};
 
-/// Root mean square of the errors of log-gains, of a spread of 0.25.
+/// Largest root mean square error of log-gains, whose spread is 0.25.
 const TOLERANCE: f64 = 0.07;
 
-/// Most dB that a model of photographs with different exposures lies below that of equal ones.
+/// Largest loss in dB of a model of differently exposed photographs, against one of equally exposed photographs.
 const LOSS: f64 = 0.5;
 
-/// Least dB by which it is better than if the exposures are ignored.
+/// Smallest gain in dB over a model that ignores the exposures.
 const GAIN: f64 = 0.5;
 
 /// The gains of each photograph: at most 1, so that no colour is clipped, and at least 0.4, so that few bits are lost.
@@ -61,8 +62,8 @@ fn configuration() -> Config {
     config
 }
 
-/// Trains on the scene's photographs, changed by `change`; returns the PSNR of all test views together after a gain of each
-/// channel that fits them, and the log-gains of the photographs.
+/// Trains on the scene's photographs, changed by `change`. Returns the PSNR over all test views after each channel is
+/// fitted by a gain, and the log-gains of the photographs.
 fn trained(config: &Config, change: impl Fn(ViewSet) -> ViewSet) -> (f64, Vec<[f64; 3]>) {
     let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let backend = CpuBackend::new(2, Simd::detect()).unwrap();
@@ -70,7 +71,7 @@ fn trained(config: &Config, change: impl Fn(ViewSet) -> ViewSet) -> (f64, Vec<[f
     for step in 0..config.train.steps {
         trainer.step(step as f64 / config.train.steps as f64).unwrap();
     }
-    // Of each channel: Σ rendered², Σ rendered·true, Σ true².
+    // Per channel: Σ rendered², Σ rendered·true, Σ true².
     let (mut sums, mut count) = ([[0.0; 3]; 3], 0_usize);
     for index in 0..scene.test.len() {
         let frame = scene.test.load(index).unwrap();
@@ -108,7 +109,7 @@ fn a_test_photograph_of_another_exposure_is_measured_at_it() {
     let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let backend = CpuBackend::new(2, Simd::detect()).unwrap();
     let mut trainer = Trainer::new(backend, &config, scene.train).unwrap();
-    // The model's own pictures, darkened: all that differs is the exposure, up to the rounding to 8 bits.
+    // The model's own pictures, darkened: they differ only in exposure, up to the rounding to 8 bits.
     let mut photograph = scene.test.load(0).unwrap();
     for view in photograph.views.clone() {
         let rendered = trainer.render(&view.camera).unwrap().rgb();
@@ -136,8 +137,8 @@ fn gains_of_photographs_are_found_and_spoil_no_model() {
     config.loss.exposure = Exposure::Gain;
     let (equal, of_equal) = trained(&config, |views| views);
     let (found, of_found) = trained(&config, |views| multiplied(views, &gains));
-    // A model that does not fit its photographs perfectly leaves part of its error to their gains: of photographs with one
-    // exposure, log-gains of 0.035 remain.
+    // Part of the error of an imperfect model goes into the gains: for photographs of one exposure, log-gains of 0.035
+    // remain.
     let (error, spurious) = (apart(&of_found, &gains), apart(&of_equal, &vec![[1.0; 3]; gains.len()]));
     let spread = apart(&vec![[0.0; 3]; gains.len()], &gains);
     println!("{ignored:.2} dB ignored, {equal:.2} dB of equal photographs, {found:.2} dB");

@@ -1,5 +1,5 @@
 //! A run with non-finite values stops, reports which and when, and keeps the last good checkpoint. A run whose results
-//! cannot be stored goes on as far as it can, and one that sees nothing fails.
+//! cannot be stored continues as far as it can. A run in which no camera sees the box fails.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -141,7 +141,7 @@ fn a_number_that_a_relu_hides_from_the_loss_is_found_when_it_would_be_saved() {
     assert_eq!(written, [0_u64; 0], "nothing is written over the last good checkpoint");
 }
 
-/// A store without room for the checkpoints of some steps, nor for views unless `views`.
+/// A store without room for the checkpoints of some steps, and with room for views only if `views`.
 struct Full {
     room: fn(u64) -> bool,
     views: bool,
@@ -262,7 +262,7 @@ fn a_measure_is_told_when_its_views_are_stored() {
 #[test]
 fn a_run_of_which_no_camera_sees_the_box_fails_and_says_so() {
     let folder = tempfile::tempdir().expect("a folder");
-    // Fewer steps than end a run at once, and more.
+    // Fewer and more steps than the limit for runs without samples.
     for steps in ["train.steps=20", "train.steps=100"] {
         let away = ["--out", "run", "--fresh", "--set", "scene.aabb_min=[50,50,50]", "--set"];
         let away = [&away[..], &["scene.aabb_max=[51,51,51]", "--set", steps]].concat();

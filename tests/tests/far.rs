@@ -1,5 +1,5 @@
-//! Scenes far from the origin of their coordinates, as poses in map or earth-centred coordinates have it: they plan, train, render and
-//! export as the same scene near it, and everything that leaves the program has the coordinates of the photographs.
+//! Scenes far from the origin, for example with poses in map or earth-centred coordinates, plan, train, render and export as the same
+//! scene near the origin. Everything that leaves the program has the coordinates of the photographs.
 
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -14,7 +14,7 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::binary::{Answer, refuses, run, tiny_and};
 use trimip_tests::watching::{self, Shown};
 
-/// Universal Transverse Mercator, earth-centred, and along one axis: metres.
+/// Offsets in metres: Universal Transverse Mercator, earth-centred, and along one axis.
 const FAR: [DVec3; 3] = [
     DVec3::new(448_262.0, 5_411_932.0, 310.0),
     DVec3::new(4_075_539.5, 931_735.27, 4_801_629.35),
@@ -113,7 +113,7 @@ fn a_scene_far_away_is_seen_planned_and_learned_as_a_near_one() {
         scene(&far, alpha, by);
         let (far_views, origin, far_config) = planned(&far);
         assert!(origin.numbers().iter().all(|x| x.fract() == 0.0), "{origin}");
-        // The near scene has the place within its coordinates that the far one has within those that count from its origin.
+        // The near scene has the position in its coordinates that the far scene has relative to its origin.
         let near = folder.path().join(format!("near-{index}"));
         scene(&near, alpha, by - DVec3::from(origin.numbers()));
         let (near_views, none, near_config) = planned(&near);
@@ -142,7 +142,7 @@ fn a_scene_far_away_is_seen_planned_and_learned_as_a_near_one() {
     }
 }
 
-/// The places of a file of cameras.
+/// The camera positions in a file.
 fn places(path: &Path) -> Vec<DVec3> {
     let file: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
     let at = |frame: &Value, axis: usize| frame["transform_matrix"][axis][3].as_f64().unwrap();
@@ -216,13 +216,13 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
         assert!(text.contains(&origin[0].to_string()), "{report} does not tell the origin");
     }
 
-    // Cameras come back where they are.
+    // The stored cameras have the photographs' coordinates.
     let [stated, kept] =
         ["far/transforms_train.json", "far-run/cameras.json"].map(|name| places(&here.join(name)));
     assert_eq!(stated.len(), kept.len());
     assert!(stated.iter().zip(&kept).all(|(a, b)| (*a - *b).length() < 2e-9), "{kept:?}");
 
-    // A pose in the photographs' coordinates is that of the photograph.
+    // Poses in the photographs' coordinates render the picture of the photograph's own camera.
     let render = |more: &[&str]| done(&run(here, &[&["render", "far-run"], more].concat()));
     render(&["--views", "1", "--out", "views"]);
     let size = ["--width", "32", "--height", "32"];
@@ -245,7 +245,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     assert!((places(&here.join("looking/cameras.json"))[0] - DVec3::new(x + 4.0, y, z)).length() < 2e-9);
     assert!(picture("looking/look_at_color.png").iter().any(|&byte| byte < 250), "it looks at nothing");
 
-    // Meshes too, in every format; --local writes what 32 bits hold, and what to add.
+    // Meshes too, in every format; `--local` writes coordinates that fit in 32 bits, and their offset.
     let mesh = |out: &str, more: &[&str]| {
         let arguments = ["export", "mesh", "far-run", "--out", out, "--resolution", "24", "--level", "0.01"];
         run(here, &[&arguments, more].concat())
@@ -257,7 +257,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
         let [(there, _), (here, head)] = [&whole, &local].map(|name| vertex(&here.join(name)));
         assert!((there - by).length() < 4.0 && here.length() < 6.0, "{end}: {there} {here}");
         assert!(head.contains("offset") && origin.iter().all(|x| head.contains(&x.to_string())), "{head}");
-        // The decimal digits of an OBJ are those that tell one f32 from another.
+        // The digits of an OBJ file distinguish any two f32 values.
         assert!((there - here - DVec3::from(origin)).length() < 1e-6, "{end}: {there} {here}");
     }
     let crop = format!("ball {x},{y},{z},1.2");
@@ -266,7 +266,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     assert!(cropped.out.contains(&format!("crop: {crop}")), "{}", cropped.out);
     assert!((vertex(&here.join("cropped.ply")).0 - by).length() < 1.3);
 
-    // So do the crops of pages; their views count from the origin.
+    // Crops of pages have these coordinates; views of pages are relative to the origin.
     let shown = Shown::start_with(here, "far-run", &["--crop", &crop]);
     let told = shown.get(&format!("/{}/scene.json", shown.token), &[]).1;
     assert_eq!(serde_json::from_slice::<Value>(&told).unwrap()["crop"], crop);
@@ -276,7 +276,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     let seen = image::load_from_memory(&page.finest(&request).unwrap().jpeg).unwrap().to_luma8();
     assert!(seen.pixels().any(|pixel| pixel.0[0] > 16), "the crop is where the scene is");
 
-    // What is known of a folder is told in its own coordinates.
+    // `data inspect` reports a folder in the folder's own coordinates.
     let inspected = run(here, &["data", "inspect", "far", "--html", "far.html"]);
     done(&inspected);
     assert!(fs::read_to_string(here.join("far.html")).unwrap().contains("counted from [40755"));
@@ -303,7 +303,7 @@ fn an_origin_is_a_place_and_belongs_to_the_model() {
     }
     let built_in = ["plan", "--set", "data.format=builtin", "--set", "data.origin=[1, 2, 3]"];
     refuses(here, &built_in, &["data.origin", "built-in"]);
-    // An origin that is given is kept, and boxes count from it.
+    // A given origin is kept, and boxes are relative to it.
     let given = ["plan", "far", "--set", "data.origin=[448000, 5411000, 0]", "--json", "plan.json"];
     done(&run(here, &given));
     let plan: Value = serde_json::from_slice(&fs::read(here.join("plan.json")).unwrap()).unwrap();
@@ -320,7 +320,7 @@ fn an_origin_is_a_place_and_belongs_to_the_model() {
         &["eval", "run", "--set", "data.origin=[1, 2, 3]"],
         &["data.origin", "belongs to the trained model"],
     );
-    // Without its photographs, a model has the cameras that its run kept.
+    // Without its photographs, a model uses the cameras that its run stored.
     let cameras = trimip::run::cameras::training_cameras(
         &here.join("run"),
         LocalOrigin::at(&[448_262.0, 5_411_932.0, 310.0]),

@@ -1,5 +1,5 @@
-//! Disks that fail: full, read-only, or without the data of yesterday. The program says so in one line, keeps what it has,
-//! and the same command ends as if nothing had been wrong once the disk is well again.
+//! Failing disks: full, read-only, or with missing data. The program reports the failure in one line and keeps its
+//! results. Once the disk works again, the same command ends as if nothing had failed.
 
 use std::{
     fs,
@@ -12,8 +12,8 @@ use trimip_tests::{
     whole::{Whole, is_sound},
 };
 
-/// Runs a shell script, with the program as `$0` and `arguments` as `$@`, in a mount namespace of its own: its mounts end
-/// with it. `None`, and a line that says so, where this is not allowed.
+/// Runs a shell script in its own mount namespace, with the program as `$0` and `arguments` as `$@`; the mounts end with
+/// the script. Where this is not allowed, prints a line and returns `None`.
 fn mounted(here: &Path, script: &str, arguments: &[&str]) -> Option<Answer> {
     let shell = |script: &str, arguments: &[&str]| {
         let mut shell = Command::new("unshare");
@@ -37,7 +37,7 @@ fn scene(here: &Path) -> Vec<&'static str> {
     tiny_and(&["--out", "run", "--set", "data.format=auto", "--set", "data.root=scene"])
 }
 
-/// Bytes of the files of a folder.
+/// Total size of the files of a folder, bytes.
 fn size(folder: &Path) -> usize {
     files(folder).values().map(Vec::len).sum()
 }
@@ -51,7 +51,7 @@ fn a_disk_that_is_full_anywhere_costs_nothing_once_it_has_room() {
     assert_eq!(run(here, &arguments("whole")).code, Some(0));
     let whole = Whole::of(&here.join("whole"));
     fs::create_dir(here.join("disk")).unwrap();
-    // With what it writes beside its place before it renames.
+    // Room for the files and for the `.tmp` files that are written before a rename.
     let needed = size(&here.join("whole")) * 3 / 2 / 4096;
     let mut failed = 0;
     for twentieth in 1..=20 {
@@ -69,7 +69,7 @@ fn a_disk_that_is_full_anywhere_costs_nothing_once_it_has_room() {
             assert_eq!(answer.err, "");
         }
         assert_eq!(is_sound(&here.join("full")), Ok(()), "{twentieth}/20 of the room: {}", answer.err);
-        // Where no checkpoint ever had room the model alone is kept, and a run does not go on from it.
+        // If no checkpoint ever had room, only the model is kept, and no run continues from it.
         let kept = |name: &str| fs::read(here.join("full").join(name)).ok();
         if let Some(model) = kept("model.safetensors").filter(|_| kept("checkpoint.safetensors").is_none()) {
             assert!(
@@ -123,7 +123,7 @@ fn data_that_vanish_cost_neither_steps_nor_points() {
         let bytes = fs::read(&path).unwrap();
         fs::write(path, &bytes[..bytes.len() - 20]).unwrap();
     };
-    // A photograph that is torn behind its header is met by the evaluation; the others when the scene is opened.
+    // The evaluation finds the photograph that is torn after its header; opening the scene finds the other faults.
     let breaks: [(&str, Break, i32); 4] = [
         ("r_1", torn, 2),
         ("r_1", |scene| fs::remove_file(scene.join("test/r_1.png")).unwrap(), 2),
@@ -167,7 +167,7 @@ fn a_run_goes_on_with_its_own_photographs_alone() {
     fs::copy(here.join("moved/train/r_2.png"), here.join("scene/train/r_2.png")).unwrap();
     fs::write(&poses, text.replacen("\"camera_angle_x\":0.", "\"camera_angle_x\":0.1", 1)).unwrap();
     run(here, &arguments).expect_error(2, &["photographs", "cameras"]);
-    // The same photographs in another place are the same.
+    // The same photographs in another folder are accepted.
     let elsewhere = [&arguments[..], &["--set", "data.root=moved"]].concat();
     assert_eq!(run(here, &elsewhere).code, Some(0));
 }
@@ -195,7 +195,7 @@ fn what_cannot_be_printed_is_an_error_and_what_nobody_reads_is_none() {
         let output = command(here, arguments).stdout(full).output().unwrap();
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
         Answer { code: output.status.code(), out: String::new(), err }.expect_error(2, &["standard output"]);
-        // Its reader has gone.
+        // The reader of the output is gone.
         let mut child = command(here, arguments).stdout(Stdio::piped()).spawn().unwrap();
         drop(child.stdout.take());
         assert_eq!(child.wait().unwrap().code(), Some(0), "{arguments:?}");

@@ -50,7 +50,7 @@ fn a_folder_is_all_that_a_user_types() {
         assert!(bare.err.contains(next), "{}", bare.err);
     }
     refused(&run(folder, &["scene"]), &["scene: ", "neither a verb nor a folder", "--help"]);
-    // Slips name what was mistyped, and what was meant.
+    // Errors for typing mistakes name the mistyped word and the intended one.
     refused(&run(folder, &["trian"]), &["trian: ", "`trimip-cli train`"]);
     refused(&run(folder, &["trian", "capture"]), &["trian: ", "`trimip-cli train`"]);
     refused(&run(folder, &["--minute", "5"]), &["'--minute' found; a similar argument exists: '--minutes'"]);
@@ -64,7 +64,7 @@ fn a_folder_is_all_that_a_user_types() {
     refused(&run(folder, &["empty", "--minutes", "-1"]), &["--minutes -1", "is no time"]);
     assert!(!folder.join("runs/empty/metrics.jsonl").exists());
 
-    // A film, and photographs without cameras: the command that finds cameras.
+    // For a film, and for photographs without cameras, the program suggests the command that finds cameras.
     fs::write(folder.join("walk.mp4"), "a film").unwrap();
     refused(&run(folder, &["walk.mp4"]), &["walk.mp4: is a file", "trimip-cli capture walk.mp4"]);
     fs::create_dir(folder.join("walk")).unwrap();

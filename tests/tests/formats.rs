@@ -1,5 +1,5 @@
-//! Any bytes: valid files of every format are changed at random, and every reader keeps its laws ([`trimip_tests::formats`]).
-//! `TRIMIP_FUZZ_CASES` is the number of changes of each format, `TRIMIP_FUZZ_SEED` begins others.
+//! Arbitrary bytes: every reader passes its checks for random changes of valid files ([`trimip_tests::formats`]).
+//! `TRIMIP_FUZZ_CASES` is the number of changes of each format, `TRIMIP_FUZZ_SEED` selects other changes.
 
 use trimip_data::in_memory::camera_files;
 use trimip_tests::formats::{Format, memory::Counting};
@@ -11,7 +11,7 @@ fn stated(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).ok().and_then(|value| value.parse().ok()).unwrap_or(otherwise)
 }
 
-/// Tries as many changes as are stated, or a number that takes about a second.
+/// Tries `TRIMIP_FUZZ_CASES` changes, or by default `otherwise`, which takes about a second.
 fn keeps_its_laws(name: &str, otherwise: u64) {
     let cases = stated("TRIMIP_FUZZ_CASES", otherwise);
     let valid = Format::of(name).try_changes(stated("TRIMIP_FUZZ_SEED", 1), cases);

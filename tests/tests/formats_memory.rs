@@ -1,5 +1,5 @@
-//! The memory of every reader for the entries that hold the most for their bytes: the shortest possible. Each stays within the
-//! multiple that its format states ([`trimip_tests::formats`]); `--nocapture` prints what was measured.
+//! The memory of every reader for the shortest possible entries, which take the most memory per byte of file. Each reader
+//! stays within the multiple that its format states ([`trimip_tests::formats`]); `--nocapture` prints the measured values.
 
 use std::{collections::HashMap, fmt::Write};
 use trimip_data::colmap::{Encoding, File, Model};
@@ -14,7 +14,7 @@ static ALLOCATOR: Counting = Counting;
 /// Bytes of each file.
 const SIZE: usize = 100_000;
 
-/// `unit` with `#` for a number until there are enough of them.
+/// Repeats `unit`, with a number for `#`, up to `SIZE` bytes.
 fn many(head: &str, unit: &str, tail: &str) -> Vec<u8> {
     let mut text = head.to_string();
     let mut number = 0_u32;
@@ -40,7 +40,7 @@ fn with_metadata(format: &str, config: &str) -> Vec<u8> {
     with_header(serde_json::json!({ "__metadata__": { "trimip": own } }).to_string().into_bytes())
 }
 
-/// A zip archive whose entries have the shortest names that differ, and one file between them all.
+/// A zip archive whose entries have the shortest distinct names and share one file.
 fn short_archive() -> Vec<u8> {
     let local = [&b"PK\x03\x04"[..], &[0; 26]].concat();
     let names = (0..SIZE / 50).map(|number| format!("{number:x}"));
@@ -158,7 +158,7 @@ fn the_shortest_entries_stay_within_what_each_format_states() {
         "lines".into(),
         many("#name,x,y,alt,heading,pitch,roll,f\n", "a,0,0,0,0,0,0,1\n", ""),
     ));
-    // Files of numbers between blanks: empty lines, lines of a number, one line.
+    // Files of numbers between blanks: empty lines, lines of one number, one long line, lines of seven numbers.
     for name in
         ["nsvf-pose", "nsvf-intrinsics", "arkitscenes-trajectory", "arkitscenes-intrinsics", "bundler"]
     {

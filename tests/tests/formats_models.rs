@@ -23,7 +23,7 @@ fn checkpoint() -> Checkpoint {
     Checkpoint::from_bytes("valid", &Format::of("checkpoint").valid()[0]).unwrap()
 }
 
-/// Refused within the memory of its format, with these words.
+/// Asserts a refusal within the format's memory limit, with these words.
 fn refused(format: &str, bytes: &[u8], parts: &[&str]) {
     assert!(!Format::of(format).check(bytes), "{parts:?}");
     let read = match format {
@@ -89,7 +89,7 @@ fn settings_given_to_a_model_are_written_with_it() {
     assert_eq!(again.hash().unwrap(), changed.hash().unwrap());
     let packed = Model::from_bytes("packed", &written(|path| changed.write_packed(path))).unwrap();
     assert_eq!(packed.config, changed.config);
-    // A field that is assigned counts as one that is given.
+    // A field that is assigned directly counts as a given setting.
     changed.config.threads = 3;
     let again = Model::from_bytes("again", &written(|path| changed.write(path))).unwrap();
     assert_eq!(again.config.threads, 3);

@@ -61,7 +61,7 @@ fn gains_of_photographs_cost_no_wait_and_are_the_same_on_both_backends() {
         for (found, expected) in found.as_flattened().iter().zip(gradient.as_flattened()) {
             assert!((found - expected).abs() < 1e-5, "{found}, not {expected}");
         }
-        // Later batches differ: their sizes follow sums that a GPU knows later.
+        // Later batches differ: their sizes follow sums that a GPU reports later.
         for step in 0..3 {
             on_gpu.step(f64::from(step) / config.train.steps as f64)?;
             on_cpu.step(f64::from(step) / config.train.steps as f64)?;
@@ -85,7 +85,7 @@ fn gains_of_photographs_cost_no_wait_and_are_the_same_on_both_backends() {
     });
 }
 
-/// Derivatives by the poses and the intrinsics of cameras, of a batch that both backends draw alike.
+/// Derivatives with respect to the poses and the intrinsics of cameras, for a batch that both backends draw alike.
 #[test]
 fn derivatives_by_cameras_are_the_same_on_both_backends() {
     reproducibly(|make| {
@@ -111,7 +111,7 @@ fn derivatives_by_cameras_are_the_same_on_both_backends() {
     });
 }
 
-/// Expects numbers that differ by a hundredth of the largest.
+/// Asserts that numbers differ by less than a hundredth of the largest.
 fn alike(found: &[f64], expected: &[f64]) {
     let largest = expected.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
     assert!(largest > 0.0 && found.len() == expected.len(), "{expected:?}");
@@ -202,7 +202,7 @@ fn lenses_are_the_same_on_both_backends() {
             assert_eq!(camera.intrinsics.blind_pixels() > 0, i == 3);
             let mut on_cpu = Trainer::new(cpu(), &config, views())?;
             let mut on_gpu = Trainer::new(make(), &config, views())?;
-            // The first step moves all parameters that have a gradient by the same length, in its direction.
+            // The first step moves all parameters that have a gradient by the same length, in the gradient's direction.
             let mut straight = Trainer::new(cpu(), &config, fixtures::noise(3, 16, 2, 2))?;
             on_cpu.step(0.0)?;
             on_gpu.step(0.0)?;
@@ -223,7 +223,7 @@ fn lenses_are_the_same_on_both_backends() {
             let found = LoadedModel::new(make(), &model)?.render(&camera)?;
             let error = difference(&own, &found);
             assert!(error < 1e-4, "lens {i}: pictures of one model differ by {error}");
-            // A pinhole sees something else.
+            // A pinhole camera gives another picture.
             let pinhole =
                 Camera { intrinsics: Intrinsics { lens: Lens::default(), ..camera.intrinsics }, ..camera };
             assert!(difference(&own, &LoadedModel::new(cpu(), &model)?.render(&pinhole)?) > 1e-3);
@@ -343,7 +343,7 @@ fn memory_is_predicted_within_a_tenth() {
     for (hidden, plane_size, samples, drawn) in
         [(64, 64, 2048, 1.0), (32, 256, 1024, 1.0), (64, 64, 2048, 0.5)]
     {
-        // A new device for each: it counts the most that it has ever held.
+        // A new device for each case, because a device counts the most memory that it has ever held.
         with(&ADDITIONS[..2], |make| {
             let mut config = suite::training::configuration();
             config.train.backward_fraction = Schedule::new(vec![[0.0, drawn]]);

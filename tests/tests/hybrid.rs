@@ -1,4 +1,4 @@
-//! Hybrid rendering: pictures by the proxy of a model are those of volume rendering, with fewer samples.
+//! Hybrid rendering: pictures rendered with the proxy of a model match those of volume rendering.
 
 use glam::DVec3;
 use std::fs;
@@ -43,7 +43,7 @@ fn fog_is_seen_however_thin() {
 #[test]
 fn threads_change_no_bit() {
     let far = camera(48, DVec3::new(3.0, -2.0, 2.0));
-    // Also where some rays fall back to volume rendering.
+    // With the narrower limit, some rays fall back to volume rendering.
     for widest in [trained().config.hybrid.widest, 1.1] {
         let mut model = trained().clone();
         model.config.hybrid.widest = widest;
@@ -70,7 +70,7 @@ fn backends_show_the_same_picture() {
             let far = camera(32, DVec3::new(3.0, -2.0, 2.0));
             let on_cpu = picture(backend(2), &model, RendererKind::Hybrid, &far)?;
             let on_gpu = picture(make(), &model, RendererKind::Hybrid, &far)?;
-            // A rounding may move a sample to another step or group of a few rays.
+            // A rounding may move a sample of a few rays to another step or group.
             let near = psnr(&on_cpu.rgb(), &on_gpu.rgb());
             assert!(near > 60.0, "{rule:?}: {near:.1} dB");
             let volume = picture(backend(2), &model, RendererKind::Volume, &far)?;
@@ -104,7 +104,7 @@ fn a_missing_or_broken_proxy_is_told_with_what_to_do() {
     for shape in [[7.0, 8.0, 8.0, 0.1, 0.1], [8.0, 8.0, 8.0, f32::NAN, 0.1], [1e9, 8.0, 8.0, 0.1, 0.1]] {
         refused(&|model| drop(model.file.tensors.insert(name("shape"), Tensor::f32(&[5], shape.to_vec()))));
     }
-    // The proxy comes back from its assets as it was.
+    // A proxy written to assets and read again is unchanged.
     let proxy = Proxy::from_assets(&trimip_core::field::model::assets(&trained().file))
         .unwrap()
         .expect("there is one");

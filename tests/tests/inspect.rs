@@ -1,4 +1,4 @@
-//! `data inspect` by the real binary: its lines, its page, and what it doubts of scenes that were spoiled on disk.
+//! `data inspect` by the real binary: its lines, its page, and its warnings about scenes that were spoiled on disk.
 
 use serde_json::Value;
 use std::{fs, path::Path};
@@ -84,15 +84,15 @@ fn spoiled_scenes_are_told() {
     let cut = warnings(folder, &small);
     assert!(of(&cut, "the box covers only") && of(&cut, "box around the object"), "{cut:?}");
     assert_eq!(cut.len(), 2, "the plan's and the check's: {cut:?}");
-    // Poses in another order. A rotation of the order would turn the spiral of the cameras and nothing else; that with 7·7 =
-    // 49 = 2·24 + 1 is its own inverse.
+    // Poses in another order. A cyclic shift would only turn the spiral of the cameras. A step of 7 is its own inverse,
+    // because 7·7 = 49 = 2·24 + 1.
     let shuffle = |poses: &mut Vec<Value>| *poses = (0..24).map(|i| poses[7 * i % 24].clone()).collect();
     spoil(folder, shuffle);
     let shuffled = warnings(folder, &[]);
     assert!(of(&shuffled, "silhouettes and poses"), "{shuffled:?}");
     spoil(folder, shuffle);
     assert!(warnings(folder, &[]).is_empty());
-    // OpenCV's axes.
+    // Poses with OpenCV's axes.
     spoil(folder, |poses| {
         for pose in poses.iter_mut() {
             for row in pose.as_array_mut().unwrap().iter_mut().take(3) {

@@ -10,7 +10,7 @@ use trimip_tests::ranks::Threads;
 
 const WHAT: &str = "squares";
 
-/// Runs `lead` as rank 0 of `count`, of which the others do jobs by `own`.
+/// Runs `lead` as rank 0 of `count`; the other ranks do jobs with `own`.
 fn with_others(
     count: usize,
     own: impl Fn(usize) -> Result<usize> + Sync,
@@ -32,7 +32,7 @@ fn with_others(
     })
 }
 
-/// The jobs and results that `take` got, in order.
+/// True if `taken` is the jobs with their squares, in order.
 fn squares(jobs: &[usize], taken: &[(usize, usize)]) -> bool {
     jobs.iter().map(|job| (*job, job * job)).eq(taken.iter().copied())
 }
@@ -42,7 +42,7 @@ fn results_come_in_the_order_of_the_jobs() {
     for (count, jobs) in [(2, 0..40), (3, 5..9), (4, 0..1), (5, 0..0)] {
         let jobs: Vec<usize> = jobs.rev().collect();
         let mut taken = Vec::new();
-        // Later jobs are the quicker ones.
+        // In each group of four, later jobs are quicker.
         let own = |job: usize| {
             std::thread::sleep(Duration::from_millis(job as u64 % 4));
             Ok(job * job)
@@ -66,7 +66,7 @@ fn other_ranks_work_on_while_rank_0_has_a_long_job() {
         Ok(job * job)
     };
     let own = |job: usize| {
-        // Ends only when all others are done.
+        // Job 0 ends only when all others are done.
         while job == 0 && done.load(Ordering::SeqCst) < 19 {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -105,7 +105,7 @@ fn a_job_that_fails_is_told_with_its_rank() {
 fn no_job_is_handed_out_after_a_stop() {
     let jobs: Vec<usize> = (0..1000).collect();
     let (going, begun) = (AtomicBool::new(true), AtomicUsize::new(0));
-    // Job 3 stops all; rank 0 with job 0, and the others with later jobs, wait for that.
+    // Job 3 stops all jobs. Until then, job 0 and the jobs after 3 wait.
     let own = |job: usize| {
         begun.fetch_add(1, Ordering::SeqCst);
         if job == 3 {
@@ -121,7 +121,7 @@ fn no_job_is_handed_out_after_a_stop() {
         scatter_jobs(ranks, WHAT, &jobs, &|| going.load(Ordering::SeqCst), own, take)
     })
     .expect("a stop is no error");
-    // Jobs 0 to 4, and each of the two others may have one more.
+    // Jobs 0 to 4, and at most one more on each of the two other ranks.
     assert!(begun.load(Ordering::SeqCst) <= 7, "{begun:?} jobs were begun");
 }
 

@@ -1,10 +1,10 @@
-//! A run that is killed at any moment goes on to the same end. The program is killed at random moments of every stage:
-//! before its first step, between steps, at a checkpoint, in an evaluation, after its last step, in its report. What it
-//! leaves has to be whole, and the same command has to end with the bits, the curve and the files of a run that nothing
-//! interrupted.
+//! A run that is killed at any moment continues to the same end. The test kills the program at random moments of every
+//! stage: before its first step, between steps, at a checkpoint, in an evaluation, after its last step, in its report.
+//! The remaining files have to be whole, and the same command has to end with the bits, the curve and the files of an
+//! uninterrupted run.
 //!
-//! This is a test and no script, because it needs the program built, its files read and a name for what differs. It takes
-//! a dozen moments on the CPU; `TRIMIP_KILLS=100` takes a hundred on each backend and prints what they met:
+//! This is a test and no script, because it builds the program, reads its files and names any difference. It tries a
+//! dozen moments on the CPU; `TRIMIP_KILLS=100` tries a hundred on each backend and prints the stages that they met:
 //!
 //!     TRIMIP_KILLS=100 cargo test -p trimip-tests --test program kills -- --nocapture
 
@@ -21,10 +21,10 @@ use trimip_tests::{
     whole::{Whole, is_sound},
 };
 
-/// Moments without `TRIMIP_KILLS`.
+/// Number of moments without `TRIMIP_KILLS`.
 const FEW: usize = 12;
 
-/// The stages of a run, by the event that stands before each; none stands before the first.
+/// The stages of a run, named by the event before each; no event precedes the first.
 const STAGES: [&str; 6] = ["", "step", "checkpoint", "evaluation_progress", "finished", "session_ended"];
 
 /// Random numbers of a trial (splitmix64, Steele et al. 2014).
@@ -48,14 +48,15 @@ fn arguments(backend: &'static str) -> Vec<&'static str> {
     tiny_and(&[&more[..], &["--set", "train.log_seconds=0.000001", "--set", "eval.points=4"]].concat())
 }
 
-/// Ends the process as the system does when memory is short, or as a user does who wants it to save first.
+/// Ends the process with SIGKILL, as the system does when memory is short, or gently with SIGTERM, so that it can save
+/// first.
 fn end(child: &mut Child, gently: bool) {
     if gently && cfg!(unix) {
         let mut kill = std::process::Command::new("kill");
         let sent = kill.arg(child.id().to_string()).stderr(Stdio::null()).status();
         assert!(sent.is_ok(), "there is a command `kill`");
     } else {
-        // Nothing to kill is no failure: it may have ended.
+        // A failure to kill is ignored: the process may have ended.
         let _ = child.kill();
     }
 }
@@ -74,7 +75,7 @@ fn interrupt(
         .stderr(Stdio::null())
         .spawn()
         .expect("the program starts");
-    // How often a run tells the event at least.
+    // A lower bound of how often a run emits the event.
     let count = random.below(match stage {
         "step" => 20,
         "checkpoint" | "evaluation_progress" => 3,
@@ -84,12 +85,12 @@ fn interrupt(
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines().map_while(Result::ok);
     let met =
         stage.is_empty() || lines.by_ref().filter(|line| line.contains(&sign)).nth(count as usize).is_some();
-    // Short delays are as frequent as long ones: what follows an event may take a microsecond or many.
+    // Short delays are as frequent as long ones, because the work after an event may take one microsecond or many.
     let most = random.below(if stage.is_empty() { 17 } else { 13 });
     std::thread::sleep(Duration::from_micros(random.below(1 << most)));
     let running = child.try_wait().expect("a process").is_none();
     end(&mut child, gently);
-    // A pipe that is not read would stop what saves.
+    // A pipe that is not read would block the program while it saves.
     lines.for_each(drop);
     let code = child.wait().expect("a process").code();
     assert!(!gently || matches!(code, Some(0 | 130) | None), "a run that is stopped ends with {code:?}");

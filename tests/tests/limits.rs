@@ -1,5 +1,5 @@
-//! Limits of numbers and memory: every setting at its edges, files whose numbers lie, and a system that gives no more. The
-//! program answers in one line, and takes no more memory than is stated here.
+//! Limits of numbers and memory: every setting at its edges, files with false numbers, and a system that grants no more memory.
+//! The program answers in one line, and takes no more memory than the test states.
 
 use image::{GrayImage, Luma};
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ use trimip_core::{
 };
 use trimip_tests::binary::{Answer, command, program, run, tiny, tiny_and};
 
-/// Numbers at which programs fail, and values that are none.
+/// Numbers at which programs often fail, and values that are no numbers.
 const EDGES: [&str; 12] = [
     "0",
     "-1",
@@ -30,7 +30,7 @@ const EDGES: [&str; 12] = [
 /// Most memory of a tiny run, whatever its settings, bytes.
 const MOST_OF_A_TINY_RUN: f64 = 400e6;
 
-/// The edge as a value of a setting: alone, as each number of a list, or as the value of a schedule.
+/// The edge as a value of a setting: a single value, each number of a list, or the value of a schedule.
 fn edge_of(setting: &DocumentedSetting, edge: &str) -> String {
     let numbers = setting.default.matches(',').count() + 1;
     match setting.default.as_bytes() {
@@ -93,7 +93,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
                 assert_eq!(error.kind, trimip_core::ErrorKind::Input, "{message}");
                 assert!(message.contains(&path) && message.len() < 1500, "{assignment}: {message}");
                 assert!(!message.contains("untagged"), "{assignment}: {message}");
-                // Words of the program's own types, which some choices are named after.
+                // Errors about numbers do not mention Rust types. Choices may be named after such types.
                 let number = !setting.range.is_empty();
                 for word in ["u32", "u64", "f32", "f64", "i64"].into_iter().filter(|_| number) {
                     assert!(!message.contains(word), "{assignment}: `{word}` in {message}");
@@ -102,7 +102,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
                     && edge.parse::<f64>().is_ok()
                     && !setting.default.starts_with('[')
                 {
-                    // Either the range, or what the number must be besides.
+                    // The message names the range, or another condition on the number.
                     assert!(message.contains("expected "), "{assignment}: {message}");
                 }
                 continue;
@@ -112,7 +112,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
             let answer = run(folder.path(), &[&["--out", "run", "--fresh"], &set[..]].concat());
             match answer.code {
                 Some(0) => {}
-                // Such as a backend of another name.
+                // For example an unknown backend.
                 _ => one_line(&answer, &[1, 2], &assignment),
             }
             if let Some(used) = peak(&folder.path().join("run")) {
@@ -123,7 +123,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
     assert!(refused > 500 && ran > 20, "{refused} refused, {ran} ran");
 }
 
-/// Events of a run by kind.
+/// The last event of a kind in a run.
 fn event(run: &Path, kind: &str) -> Option<Value> {
     let text = fs::read_to_string(run.join("metrics.jsonl")).ok()?;
     text.lines()
@@ -136,8 +136,8 @@ fn peak(run: &Path) -> Option<f64> {
     event(run, "session_ended")?["peak_memory_bytes"].as_f64()
 }
 
-/// The finest marching step at the start of a run, when nothing is opaque yet: of rays that keep all their samples, and of rays
-/// whose samples merge.
+/// The plan predicts the memory of the finest marching step at the start of a run, when nothing is opaque yet: for rays that
+/// keep all their samples, and for rays whose samples merge.
 #[test]
 fn the_memory_of_long_rays_is_predicted() {
     for least in ["renderer.min_weight=0", "renderer.min_weight=0.01"] {
@@ -270,7 +270,7 @@ fn numbers_that_are_not_finite_are_named_with_their_tensor() {
     named(&run(here, &tiny_and(&["--out", "run"])), "checkpoint.safetensors");
 }
 
-/// Runs the program with at most `kilobytes` of addresses.
+/// Runs the program with at most `kilobytes` of address space.
 #[cfg(target_os = "linux")]
 fn run_within(folder: &Path, kilobytes: u64, arguments: &[&str]) -> Answer {
     let output = Command::new("sh")
@@ -300,7 +300,7 @@ fn a_small_file_that_states_a_large_model_is_refused_before_it_takes_memory() {
             assert!(config.contains(size), "{config}");
             *config = config.replace(size, setting);
         });
-        // 1 GB of addresses; with these sizes the model would take more than that.
+        // 1 GB of address space; with these sizes the model would take more than that.
         let answer = run_within(here, 1_000_000, &["eval", "run"]);
         one_line(&answer, &[2], setting);
         assert!(answer.err.contains("model.safetensors") && answer.err.contains("tensor"), "{}", answer.err);

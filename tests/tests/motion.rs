@@ -1,4 +1,4 @@
-//! Many views of a model: rendering goes on where it was interrupted, and its pictures become a video.
+//! Many views of a model: rendering continues where it was interrupted, and the pictures become a video.
 
 use std::{fs, path::Path, process::Stdio, time::SystemTime};
 use trimip_data::settings::DataConfig;
@@ -92,7 +92,7 @@ fn a_flythrough_goes_along_the_training_cameras_and_goes_on() {
         image::image_dimensions(here.join("run").join(folder).join(picture)).unwrap()
     };
     assert_eq!(size("renders", "0004_color.png"), (24, 17));
-    // Without a size a film has that of the photographs; with one side, their aspect.
+    // Without a size, a film has the size of the photographs; with one side, their aspect ratio.
     for (given, side) in [(&[][..], 16), (&["--height", "20"][..], 20)] {
         let answer = run(
             here,
@@ -151,7 +151,7 @@ fn a_video_that_cannot_be_made_is_refused_before_the_work() {
     assert!(!here.join("run/renders").exists());
 }
 
-/// A program in the place of ffmpeg shows what it is given.
+/// A program in place of ffmpeg records its input.
 #[cfg(unix)]
 #[test]
 fn the_encoder_gets_the_pictures_in_order_and_its_failure_leaves_nothing() {

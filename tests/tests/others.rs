@@ -1,4 +1,4 @@
-//! Files of others: no verb replaces what a user would not expect it to.
+//! Foreign files: no verb replaces a file that the user would not expect it to replace.
 
 use std::{fs, path::Path};
 use trimip_tests::{
@@ -23,11 +23,11 @@ fn pictures_do_not_replace_those_of_others() {
         refuses(here, &["render", "run", "--what", "color,depth", "--out", "mine"], &[name, "--out"]);
         fs::remove_dir_all(out).unwrap();
     }
-    // Nor those of a run's photographs, which have the same name.
+    // Nor does it replace the cameras of a run's photographs, whose file has the same name.
     let cameras = fs::read(here.join("run/cameras.json")).unwrap();
     refuses(here, &["render", "run", "--out", "run"], &["cameras.json", "--out"]);
     assert_eq!(fs::read(here.join("run/cameras.json")).unwrap(), cameras);
-    // Its own pictures are rendered again.
+    // `render` replaces its own pictures.
     (0..2).for_each(|_| done(here, &["render", "run", "--out", "mine"]));
 }
 
@@ -52,12 +52,13 @@ fn a_written_set_replaces_nothing_and_one_that_was_stopped_is_made_again() {
     done(here, &builtin);
     let whole = files(here);
     refuses(here, &builtin, &["scene", "exists already"]);
-    // The picture of another, in a folder without a set.
+    // A foreign picture, in a folder without a data set.
     fs::remove_file(here.join("scene/transforms_train.json")).unwrap();
     fs::write(here.join("scene/train/r_1.png"), "mine").unwrap();
     refuses(here, &builtin, &["train/r_1.png"]);
     fs::remove_file(here.join("scene/train/r_1.png")).unwrap();
-    // However far it came, it is made again: each file that is missing, in the order of their writing, and half of one.
+    // An interrupted set is completed, however far it came: the files that are written last are missing, and one is
+    // half written.
     let order = ["test/r_1.png", "transforms_test.json", "transforms_train.json"];
     for missing in 0..order.len() {
         for name in order[missing..].iter().chain(&["transforms_train.json"]) {
@@ -67,7 +68,7 @@ fn a_written_set_replaces_nothing_and_one_that_was_stopped_is_made_again() {
         done(here, &builtin);
         assert!(files(here) == whole, "without {}", order[missing]);
     }
-    // A set in a folder that another set is read from would hide it.
+    // A set written into the folder of its source would hide the source.
     refuses(here, &["data", "multiscale", "scene", "--root", "scene"], &["scene", "exists already"]);
     refuses(here, &["data", "multiscale", "./scene/../scene", "--root", "scene"], &["exists already"]);
     done(here, &["data", "multiscale", "levels", "--root", "scene"]);

@@ -1,5 +1,5 @@
-//! The verb `paper` on small scenes of files: every system in the page, means as they are computed by hand, a failing run that
-//! ends no other, and a killed job that goes on to the same runs.
+//! The verb `paper` on small scenes of files: every system in the page, means as computed here, a failing run that does not
+//! stop the others, and a killed job that continues to the same runs.
 
 use serde_json::Value;
 use std::{fs, path::Path, process::Stdio, time::Duration};
@@ -8,7 +8,7 @@ use trimip_core::field::model::Model;
 use trimip_tests::binary::{Answer, command, refuses, run};
 use trimip_tests::pages::expect_fits;
 
-/// Writes two of the Blender scenes' names as small scenes.
+/// Writes small scenes under the names of two Blender scenes.
 fn scenes(here: &Path) {
     for (name, finish) in [("chair", "matt"), ("lego", "mixed")] {
         let finish = format!("data.builtin_finish={finish}");
@@ -52,7 +52,7 @@ const SETTINGS: [&str; 21] = [
     "threads=2",
 ];
 
-/// `paper` with `more` arguments and these settings, without those of the encoders that `others` names.
+/// `paper` with `more` arguments and [`SETTINGS`], without the settings that begin with one of `others`.
 fn arguments<'a>(others: &[&str], more: &[&'a str]) -> Vec<&'a str> {
     let own = SETTINGS.into_iter().filter(|setting| !others.iter().any(|other| setting.starts_with(other)));
     ["paper"].into_iter().chain(more.iter().copied()).chain(own.flat_map(|set| ["--set", set])).collect()
@@ -97,12 +97,12 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     }
     assert!(html.starts_with("<!doctype html>") && html.trim_end().ends_with("</html>"));
     assert!(!["http:", "https:", "<link", "@import"].iter().any(|fetching| html.contains(fetching)));
-    // What has to be said of published figures.
+    // Required notes on published figures.
     for part in ["35.72", "3.4 of the 3.57 dB", "46.5 MiB", "LPIPS", "black"] {
         assert!(html.contains(part) && markdown.contains(part), "{part}");
     }
 
-    // Means by hand, from the reports of the runs.
+    // Means computed here from the reports of the runs.
     for (table, folder, scales) in [(0, "", 4), (1, "single-scale/", 1)] {
         let rows = report["tables"][table]["mean"].as_array().unwrap();
         assert_eq!(rows.len(), SYSTEMS.len());
@@ -129,7 +129,7 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
             assert!(number(&row["parameters"]) > 0.0);
         }
     }
-    // Two of the eight scenes have no published mean; lego has a published figure.
+    // A mean over two of the eight scenes has no published counterpart; lego has a published figure.
     let ngp = SYSTEMS.iter().position(|system| system.name == "ngp").unwrap();
     assert_eq!(report["tables"][0]["mean"][ngp]["published"], Value::Null);
     assert_eq!(report["tables"][0]["scenes"][1]["rows"][ngp]["published"], 31.83);
@@ -164,7 +164,7 @@ fn a_run_that_fails_is_reported_and_ends_no_other() {
         &["rip_map.", "tensor.", "voxels."],
         &["scenes/lego", "--out", "out", "--systems", "tri-mip,ngp,ngp-17"],
     );
-    // Files of somebody else where a run would be.
+    // Foreign files in the folder of a run.
     fs::create_dir_all(here.join("out/lego/ngp-17/42")).unwrap();
     fs::write(here.join("out/lego/ngp-17/42/model.safetensors"), "theirs").unwrap();
     let answer = run(here, &job);
@@ -178,7 +178,7 @@ fn a_run_that_fails_is_reported_and_ends_no_other() {
     assert_eq!(report["tables"][0]["scenes"][0]["rows"][1]["psnr"], Value::Null);
     assert!(page(here).contains("no run wrote this folder"), "the page says why");
     assert_eq!(fs::read_to_string(here.join("out/lego/ngp-17/42/model.safetensors")).unwrap(), "theirs");
-    // With the cause gone, the same command makes it whole.
+    // Once the cause is gone, the same command completes the job.
     fs::remove_dir_all(here.join("out/lego/ngp-17/42")).unwrap();
     let mended = run(here, &job);
     assert!(mended.code == Some(0) && mended.err.contains("2 finished"), "{}", mended.err);

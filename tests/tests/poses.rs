@@ -1,4 +1,4 @@
-//! Cameras of photographs that are off come back in training, and the model is sharper for it.
+//! Training corrects wrong cameras of photographs, and the model is sharper for it.
 
 use glam::{DMat3, DQuat, DVec3};
 use trimip_core::{
@@ -17,20 +17,20 @@ const TURNED: f64 = 0.5;
 /// Translation of each camera, as a fraction of its distance to the middle of the scene.
 const SHIFTED: f64 = 0.01;
 
-/// Least dB that refined poses gain.
+/// Smallest gain in dB of refined poses.
 const GAIN: f64 = 0.4;
 
-/// Largest part of the error of cameras, as seen in the pictures, that remains.
+/// Largest remaining fraction of the cameras' error, measured in the pictures.
 const LEFT: f64 = 0.6;
 
-/// Focal length as given, over the true one.
+/// Ratio of the given focal length to the true one.
 const ZOOMED: f64 = 1.04;
 
-/// Largest part of the error of the focal length that remains. The scene's size goes along with it, and the differences in
-/// perspective that tell one from the other are small.
+/// Largest remaining fraction of the focal length's error. The size of the scene changes along with the focal length, and only
+/// small differences in perspective distinguish the two.
 const ZOOM_LEFT: f64 = 0.9;
 
-/// Shift of the principal point as given, pixels.
+/// Shift of the given principal point, pixels.
 const OFF_CENTRE: f64 = 1.5;
 
 fn configuration() -> Config {
@@ -58,7 +58,7 @@ fn vector(random: &mut TestRandom) -> DVec3 {
     DVec3::from_array([0; 3].map(|_| random.between(-1.0, 1.0))).normalize()
 }
 
-/// The photographs with cameras that are off; the mean of what they are off by is zero.
+/// The photographs with perturbed cameras. The mean of the perturbations is nearly zero.
 fn perturbed(mut views: ViewSet) -> ViewSet {
     let mut random = TestRandom::new(11);
     let off: Vec<[DVec3; 2]> = views.views.iter().map(|_| [0; 2].map(|_| vector(&mut random))).collect();
@@ -73,8 +73,8 @@ fn perturbed(mut views: ViewSet) -> ViewSet {
     views
 }
 
-/// Root mean square, over the photographs, of how far cameras are from others: rotation in degrees, distance, and pixels in the
-/// picture of the corners of the scene.
+/// Root mean square differences of cameras, over the photographs: rotation in degrees, distance, and pixels in the picture of
+/// the corners of the scene.
 fn apart(found: &[Camera], known: &[Camera]) -> [f64; 3] {
     let count = known.len() as f64;
     let mut squares = [0.0; 3];
@@ -146,7 +146,7 @@ fn poses_that_are_off_come_back() {
     assert!(after[2] < LEFT * before[2], "{:.2} of {:.2} pixels remain", after[2], before[2]);
 }
 
-/// All photographs were taken by one camera, whose focal length and principal point are off. Poses are right as given.
+/// One camera took all photographs. Its focal length and principal point are wrong, the poses are right.
 #[test]
 fn intrinsics_that_are_off_come_back() {
     let mut config = configuration();

@@ -1,4 +1,4 @@
-//! The program on several ranks, as `mpirun` starts it. Where there is no Open MPI these tests are skipped, and say so; with
+//! The program on several ranks, as `mpirun` starts it. Without Open MPI these tests are skipped with a message; with
 //! `TRIMIP_REQUIRE_MPI=1` they fail instead.
 
 use serde_json::Value;
@@ -12,7 +12,7 @@ use trimip_tests::binary::{Answer, build, command, run, tiny, tiny_and};
 use trimip_tests::files::files;
 use trimip_tests::whole::{Whole, is_sound};
 
-/// The program with the feature `mpi`, or `None`, with a line that says so, where it cannot be built.
+/// The program with the feature `mpi`. Where it cannot be built, prints a line and returns `None`.
 fn program_of_ranks() -> Option<&'static Path> {
     static PROGRAM: OnceLock<Option<PathBuf>> = OnceLock::new();
     let built = PROGRAM.get_or_init(|| {
@@ -43,7 +43,7 @@ fn ranks(count: usize, here: &Path, arguments: &[&str]) -> Option<Command> {
     Some(command)
 }
 
-/// Runs it to its end.
+/// Runs these ranks to their end.
 fn answer(count: usize, here: &Path, arguments: &[&str]) -> Option<Answer> {
     let Output { status, stdout, stderr } = ranks(count, here, arguments)?.output().expect("mpirun starts");
     let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
@@ -63,13 +63,13 @@ fn any_number_of_ranks_writes_the_run_of_one() {
         assert!(answer.err.contains(&format!("{count} ranks: a step sent")), "{}", answer.err);
         assert_eq!(whole.is_ended_by(&here.join(&out)), Ok(()), "{count} ranks");
     }
-    // A run goes on with another number of ranks, and with one process.
+    // A run continues with another number of ranks, and with one process.
     let stopped = [&tiny_and(&["--out", "parts"])[..], &["--stop-after", "7"]].concat();
     assert_eq!(answer(2, here, &stopped).unwrap().code, Some(0));
     assert_eq!(answer(3, here, &stopped).unwrap().code, Some(0));
     assert_eq!(run(here, &tiny_and(&["--out", "parts"])).code, Some(0));
     assert_eq!(whole.is_ended_by(&here.join("parts")), Ok(()));
-    // What is finished is not done again.
+    // The same command succeeds on a finished run.
     let again = answer(2, here, &tiny_and(&["--out", "parts"])).unwrap();
     assert_eq!(again.code, Some(0), "{again:?}");
 }
@@ -219,7 +219,7 @@ fn a_build_without_ranks_refuses_them() {
             let output = command.env(rank, number).env(of, "2").output().unwrap();
             let err = String::from_utf8_lossy(&output.stderr);
             assert_eq!(output.status.code(), Some(2), "{err}");
-            // It is told once.
+            // Only rank 0 prints the error.
             let told = err.contains("2 processes") && err.contains("--features mpi");
             assert!(if number == "0" { told } else { err.is_empty() }, "{err}");
             assert!(files(folder.path()).is_empty());
@@ -281,7 +281,7 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
         if here.join("killed").exists() {
             assert_eq!(is_sound(&here.join("killed")), Ok(()), "{sign}, rank {rank}");
         }
-        // With two ranks, or alone.
+        // Resumes with two ranks, or with one process.
         let ended = if trial % 2 == 0 {
             answer(2, here, &arguments("killed")).unwrap().code
         } else {
@@ -294,11 +294,12 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
     assert!(killed >= 4, "only {killed} of 8 were killed before their end");
 }
 
-/// Two ranks that train into `run` without end and have begun, and the lines that they still write.
+/// Starts two ranks that train into `run` without end. Returns them after their first step, with the lines that they still
+/// write.
 fn endless(here: &Path) -> Option<(Child, impl Iterator<Item = String> + Send + use<>)> {
     let arguments = tiny_and(&["--progress", "json", "--set", "train.steps=10000000", "--out", "run"]);
     let mut command = ranks(2, here, &arguments)?;
-    // Seconds from the signal that asks a rank to stop to the one that kills it.
+    // Seconds between the signal that asks a rank to stop and the one that kills it.
     command.env("OMPI_MCA_odls_base_sigkill_timeout", "20");
     let mut mpirun = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut lines = BufReader::new(mpirun.stdout.take().unwrap()).lines().map_while(Result::ok);
@@ -306,7 +307,7 @@ fn endless(here: &Path) -> Option<(Child, impl Iterator<Item = String> + Send + 
     Some((mpirun, lines))
 }
 
-/// True while a process is there, and no zombie.
+/// True while a process exists and is no zombie.
 fn lives(process: &str) -> bool {
     let output = Command::new("ps").args(["-o", "stat=", "-p", process]).output().expect("ps");
     let state = String::from_utf8_lossy(&output.stdout);
@@ -351,7 +352,7 @@ fn an_interrupted_run_is_saved() {
     assert_eq!(is_sound(&here.join("run")), Ok(()));
 }
 
-/// Some launchers signal only the processes that they started.
+/// Guards pass signals on: some launchers signal only the processes that they started.
 #[test]
 fn a_guard_passes_a_stop_on() {
     let folder = tempfile::tempdir().unwrap();

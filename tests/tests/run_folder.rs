@@ -70,7 +70,7 @@ fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
         }
     }
     assert_eq!(fs::read(here.join("run/plan.json")).unwrap(), plan);
-    // Baking would change its model.
+    // Baking is refused: it changes the model.
     fs::copy(here.join("run/checkpoint.safetensors"), here.join("run/model.safetensors")).unwrap();
     let bake = run(here, &["bake", "run"]);
     assert!(bake.code == Some(2) && bake.err.contains("another process"), "{}", bake.err);
@@ -106,7 +106,8 @@ fn the_report_of_a_finished_run_is_what_the_run_is_now() {
     for name in whole.keys() {
         let path = here.join("run").join(name);
         let text = name.to_string_lossy();
-        // Without these it is another run, or none; a finished run of the built-in scene does not open the photographs, which tell the cameras.
+        // Without these files the run is another one, or none. A finished run of the built-in scene takes its cameras from `cameras.json`,
+        // not from the photographs.
         if ["config.toml", "plan.json", "metrics.jsonl", "cameras.json"].iter().any(|kept| text == *kept)
             || text.ends_with(".safetensors")
         {

@@ -1,4 +1,5 @@
-//! The scene plan of the program: what it leaves out, that a run keeps it, and the quality of a model without it.
+//! The scene plan of the program: the parts that it leaves out, that a run keeps its plan, and the quality of a model
+//! without those parts.
 
 use serde_json::Value;
 use std::{fs, path::Path};
@@ -71,14 +72,14 @@ fn a_run_is_planned_once_and_its_model_is_what_was_measured() {
     let measured = json(&path.join("report.json"))["mean"]["psnr"].as_f64().unwrap();
     let read = json(&folder.path().join("eval.json"))["mean"]["psnr"].as_f64().unwrap();
     assert_eq!(measured, read, "what training reported, and what the file gives");
-    // An unreadable plan is named, and a fresh run needs none.
+    // The error names an unreadable plan, and a fresh run needs no plan.
     fs::write(path.join("plan.json"), "[{").unwrap();
     let answer = run(folder.path(), &tiny_and(&["--out", "run"]));
     assert!(answer.code == Some(2) && answer.err.contains("--fresh"), "{answer:?}");
     let answer = run(folder.path(), &tiny_and(&["--out", "run", "--fresh"]));
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     assert_eq!(fs::read(path.join("plan.json")).unwrap(), plan);
-    // Other settings are another run, whatever the plan.
+    // Other settings make another run, whatever the plan.
     let answer = run(folder.path(), &tiny_and(&["--out", "run", "--set", "encoder.plane_size=32"]));
     assert_eq!(answer.code, Some(2), "{}", answer.err);
     assert!(answer.err.contains("encoder.plane_size"), "{}", answer.err);
@@ -139,7 +140,7 @@ fn a_plan_says_what_why_and_at_what_cost() {
     let told = change.abs() > spread.max(0.05);
     assert_eq!(report["directions_needed"].as_bool(), told.then_some(change < 0.0), "{last}");
     assert!(answer.out.contains("plan.directions: ") && answer.out.contains("dB apart"), "{}", answer.out);
-    // Half the bits per texel take half the bytes.
+    // Half the bits per texel make the file at least a tenth smaller.
     let bytes = |name: &str| {
         let at = effects.iter().position(|effect| effect["plan"] == name).unwrap();
         (effects[at - 1]["model_bytes"].as_f64().unwrap(), effects[at]["model_bytes"].as_f64().unwrap())

@@ -1,5 +1,5 @@
-//! A backend from outside brings its section of settings: they are read, ranged, documented, written and resumed, and no
-//! other crate knows of them.
+//! A backend outside of the workspace brings its own section of settings. It is read, range-checked, documented, written
+//! and resumed, and no other crate mentions it.
 
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -85,7 +85,7 @@ fn a_setting_of_a_foreign_backend_is_read_and_ranged() {
         let error = read.and_then(|()| Config::from_settings(&settings)).unwrap_err();
         assert!(error.kind == ErrorKind::Input && error.message.contains(expected), "{error}");
     }
-    // The program that is here does not have the backend.
+    // The program of this workspace does not have the backend.
     let mut own = trimip::settings::defaults();
     assert!(own.apply_assignment("tpu.chips=8").unwrap_err().message.contains("unknown setting"));
 }
@@ -118,7 +118,7 @@ fn a_run_goes_on_with_another_free_setting_of_a_foreign_backend() {
     train("tpu.chips=8").unwrap();
     let text = std::fs::read_to_string(folder.join("config.toml")).unwrap();
     assert!(text.ends_with("[tpu]\nchips = 8\nhost = \"\"\nrounding = \"nearest\"\n"), "{text}");
-    // The model has it too, for whoever knows it.
+    // The model contains the section too.
     let model = Model::read(&folder.join("model.safetensors")).unwrap();
     assert_eq!((model.config.to_toml(), model.config.section::<TpuConfig>().unwrap().chips), (text, 8));
     train("tpu.chips=16").unwrap();

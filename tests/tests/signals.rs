@@ -1,4 +1,4 @@
-//! Signals of the system: one that was ignored when the program began stays ignored, and one that comes before the first
+//! Signals of the system: a signal that was ignored when the program began stays ignored, and one that comes before the first
 //! step ends the program at once.
 
 #![cfg(unix)]

@@ -54,7 +54,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace").into()
 }
 
-/// All files below `folder` that end so.
+/// All files below `folder` with one of these endings.
 fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in
@@ -79,7 +79,7 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
 /// The modules of a crate, one per file, and what each imports.
 struct Crate {
     modules: BTreeMap<Names, File>,
-    /// What `pub use` makes available in a module: name → path of the item.
+    /// Re-exports of a module with `pub use`: name → path of the item.
     exports: BTreeMap<Names, BTreeMap<String, Names>>,
 }
 
@@ -123,7 +123,7 @@ impl Crate {
         exports
     }
 
-    /// The path from the crate's root of a path as written in `module`; `None` if it leads out of the crate.
+    /// Resolves a path written in `module` from the crate's root; `None` if it leads out of the crate.
     fn absolute(&self, module: &Names, path: &[String]) -> Option<Names> {
         let mut base = module.clone();
         let mut rest = path;
@@ -350,7 +350,7 @@ fn rooms_of_core_use_those_before_them() {
     assert_eq!(rooms.len(), ROOMS.len(), "every room has files");
 }
 
-/// True if `text` has `word` between characters that no identifier has.
+/// True if `text` contains `word` with no letter or digit next to it.
 fn names(text: &str, word: &str) -> bool {
     let part = |character: Option<char>| character.is_some_and(|character| character.is_alphanumeric());
     text.match_indices(word)
@@ -366,7 +366,7 @@ fn code(text: &str) -> String {
     lines.map(|line| line.to_string() + "\n").collect()
 }
 
-/// The list of a section, followed for a member that exists, leads to every file that names it, and to no file that does not exist.
+/// For an existing member, each list names every file that mentions the member, and no file that does not exist.
 #[test]
 fn lists_of_files_are_complete() {
     let architecture = fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");

@@ -1,5 +1,5 @@
-//! The unit, the place and the turn of a world change nothing: the scene plan and the training of the built-in scene in worlds that are
-//! moved by a similarity. Bounded space with silhouettes, and contracted space without.
+//! The unit, position and rotation of a world change nothing: the built-in scene is planned and trained in worlds transformed by a
+//! similarity, in bounded space with silhouettes and in contracted space without.
 
 use glam::{DMat3, DVec3};
 use trimip_core::{

@@ -1,4 +1,4 @@
-//! `view`: who may enter, what is answered, and the page in a real browser.
+//! `view`: access control, answers to requests, and the page in a real browser.
 
 use serde_json::{Value, json};
 use std::io::Write;
@@ -100,7 +100,7 @@ fn a_view_is_the_picture_that_render_writes() {
     let psnr = 20.0 * 255_f64.log10() - 10.0 * (errors.sum::<f64>() / found.as_raw().len() as f64).log10();
     assert!(psnr > 30.0, "{psnr:.1} dB, which JPEG alone does not explain");
 
-    // A photograph brings its camera, and its difference is not its colour.
+    // Selecting a photograph selects its camera, and the difference picture is not the colour picture.
     let mut compared = request.clone();
     compared["photo"] = json!({ "split": "test", "index": 1 });
     compared["id"] = json!(2);
@@ -142,7 +142,7 @@ fn nonsense_is_answered_and_giants_are_shown_out() {
         wrong[key] = right;
     }
     page.finest(&view(9, [3.0, 1.0, 2.0], 20, 20)).expect("it goes on after mistakes");
-    // The server closes the socket, at the latest when it has read the whole message.
+    // The server closes the socket, at the latest after it has read the whole message.
     let giant = "x".repeat(4 << 20);
     let closed = page.send(&giant).is_err() || page.receive().is_err();
     assert!(closed && shown.lives());
@@ -204,7 +204,7 @@ fn a_wrong_model_or_address_is_refused() {
     let shown = Shown::start(here, "run");
     let port = shown.host.rsplit(':').next().unwrap();
     refuses(here, &["view", "run", "--port", port], &[port, "cannot listen"]);
-    // A model without its photographs is shown.
+    // A model is shown even without its photographs.
     std::fs::create_dir(here.join("alone")).unwrap();
     std::fs::copy(here.join("run/model.safetensors"), here.join("alone/model.safetensors")).unwrap();
     let mut child = command(
@@ -226,7 +226,7 @@ fn a_wrong_model_or_address_is_refused() {
     child.wait().unwrap();
 }
 
-/// A run of many steps that is watched.
+/// Starts a run of many steps that serves a page.
 fn in_training(here: &Path) -> Shown {
     let long = ["train.steps=1000000", "eval.points=400", "train.log_seconds=0.1"];
     let sets: Vec<&str> = long.iter().flat_map(|set| ["--set", set]).collect();
@@ -249,7 +249,7 @@ fn a_run_is_watched_paused_and_stopped() {
     let status = later(&mut page);
     assert!(status["progress"].as_f64().is_some_and(|fraction| (0.0..1.0).contains(&fraction)), "{status}");
 
-    // The model that is shown changes as it learns; no view is asked for again.
+    // The picture changes as the model learns, without another request.
     page.send(&view(1, [3.0, 1.0, 2.0], 40, 30).to_string()).unwrap();
     let first = loop {
         let received = page.picture();
@@ -259,7 +259,7 @@ fn a_run_is_watched_paused_and_stopped() {
     };
     while pixels(&page.picture()) == first {}
 
-    // Paused, it does no step, and answers.
+    // A paused run takes no step, but answers.
     page.send(r#"{"command":"pause"}"#).unwrap();
     let paused = loop {
         let status = page.status();
@@ -328,11 +328,11 @@ fn a_part_of_the_box_and_its_quantities_are_shown() {
 const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
     .getImageData(0, 0, c.width, c.height).data; let h = 0; for (const b of d) h = (h * 31 + b) | 0; return h; })()";
 
-/// True once the picture has all its pixels: that of a moving camera is done with fewer.
+/// True once the picture has all its pixels: a moving camera's picture is done with fewer.
 const FINEST: &str = "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
     && document.getElementById('size').textContent.startsWith(`${c.width}×${c.height},`); })()";
 
-/// The file that the page saves of a path of the present view alone.
+/// The file that the page saves for a path of only the present view.
 fn path_of_one_view(browser: &mut Browser) -> String {
     let path = browser.value(
         "(async () => { const create = URL.createObjectURL; let blob; URL.createObjectURL = (b) => (blob = b, create(b));
@@ -372,7 +372,7 @@ fn the_page_works_in_a_browser() {
     browser.wait(&format!("{PICTURE} !== {turned}"));
     browser.check_list_of_keys();
 
-    // A photograph beside the model, behind a slider.
+    // A slider splits the picture between the model and a photograph.
     assert_eq!(
         browser.value("document.getElementById('photo').hidden || document.getElementById('split').hidden"),
         true
@@ -402,7 +402,7 @@ fn the_page_works_in_a_browser() {
     );
     assert_eq!(drawn, true);
 
-    // A path is what `render --path` takes.
+    // `render --path` accepts the saved path.
     let path = path_of_one_view(&mut browser);
     std::fs::write(here.join("path.json"), &path).unwrap();
     let frames: Value = serde_json::from_str(&path).unwrap();
@@ -410,7 +410,7 @@ fn the_page_works_in_a_browser() {
     let answer = run(here, &["render", "run", "--path", "path.json", "--out", "film"]);
     assert_eq!(answer.code, Some(0), "{answer:?}");
 
-    // Clipping changes the picture, and all comes back.
+    // Clipping changes the picture, and unclipping restores it.
     browser.wait("document.getElementById('view').dataset.done === 'true'");
     let whole = browser.value(PICTURE);
     browser.value(
@@ -476,7 +476,7 @@ fn photographs_are_listed_by_their_names() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     trained(here);
-    // A name that would be another text as HTML, and one that is longer than the list is wide.
+    // A name that would be another text as HTML, and a name that is longer than the list is wide.
     let long = format!("first of all{}the last", "_".repeat(40));
     let names = ["&lt;i&gt;Zoë's 1 &amp; 2", &long];
     write_photographs(here, names);
@@ -527,7 +527,7 @@ fn a_place_opens_at_a_photograph_and_home_returns_there() {
     let Some(mut browser) = Browser::start(1200, 800) else { return };
     browser.open(&shown.address());
     browser.wait(FINEST);
-    // The angle, where the camera is and where it looks; the page keeps the picture upright.
+    // Compares the field of view, the position and the direction of the camera; the page keeps the picture upright.
     let is_home = |browser: &mut Browser| {
         let path: Value = serde_json::from_str(&path_of_one_view(browser)).unwrap();
         let frame = &path["frames"][0];

@@ -8,8 +8,8 @@ use trimip_core::{Intrinsics, config::RendererKind, measures::metrics};
 use trimip_tests::binary::{refuses, run, tiny_and};
 use trimip_tests::watching::{Browser, view};
 
-/// The page's program, or `None`, with a line that says so, where `tools/web.sh` has not built it. With `TRIMIP_REQUIRE_WEB=1` it
-/// has to be there.
+/// The page's program. If `tools/web.sh` has not built it, prints a line and returns `None`; with `TRIMIP_REQUIRE_WEB=1` it
+/// panics instead.
 fn program() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/web");
     if folder.join("trimip_web_bg.wasm").is_file() {
@@ -80,7 +80,7 @@ fn a_packed_model_is_small_and_near() {
         [&model, &packed].map(|model| backends::load(model).unwrap().render(&camera).unwrap().rgb());
     let psnr = metrics::psnr(&near, &exact);
     assert!(psnr > 40.0, "{psnr:.1} dB");
-    // A proxy does not travel, so what is packed renders by volume.
+    // A packed model has no proxy, so it renders by volume.
     let baked = run(here, &["bake", "run"]);
     assert_eq!(baked.code, Some(0), "{baked:?}");
     let baked = trimip::read_model(&here.join("run")).unwrap();
@@ -88,7 +88,7 @@ fn a_packed_model_is_small_and_near() {
     baked.write_packed(&small).unwrap();
     let volume = trimip::read_model(&small).unwrap();
     assert!(backends::load(&volume).unwrap().render(&camera).unwrap().rgb() == near);
-    // What was packed is packed again with the same bits.
+    // Packing a packed model again hardly changes its picture.
     packed.write_packed(&here.join("again.trimip")).unwrap();
     let again = trimip::read_model(&here.join("again.trimip")).unwrap();
     let apart = backends::load(&again).unwrap().render(&camera).unwrap().rgb();
@@ -144,7 +144,7 @@ fn a_page_without_a_server_renders_as_the_cpu_does() {
         pictures.push(found);
     }
     assert!(metrics::psnr(&pictures[0], &pictures[1]) < 40.0, "the crop leaves something out");
-    // The page opened with the crop alone; its switch shows everything.
+    // The page opened with the crop on; its switch shows everything.
     let picture = "document.getElementById('view').toDataURL()";
     assert_eq!(browser.value("document.querySelector('#crop code').textContent"), crop);
     assert_eq!(browser.value("document.getElementById('cropped').checked"), true);

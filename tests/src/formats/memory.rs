@@ -1,4 +1,4 @@
-//! The system's allocator, which counts: a program that names it as its global allocator knows what a reader takes.
+//! The system allocator with a counter: a program that sets it as its global allocator can measure the memory of a reader.
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -6,15 +6,15 @@ use std::{
 };
 
 thread_local! {
-    /// Bytes that this thread has allocated and not freed, and the most it had.
+    /// Bytes that this thread has allocated and not freed, and their peak.
     static HELD: Cell<(isize, isize)> = const { Cell::new((0, 0)) };
 }
 
-/// The system's allocator, which counts.
+/// The system allocator with a counter.
 pub struct Counting;
 
 fn held(change: isize) {
-    // Threads that end free memory after their variables are gone.
+    // An ending thread frees memory after its thread-local variables are gone.
     let _ = HELD.try_with(|held| {
         let (now, most) = held.get();
         held.set((now + change, most.max(now + change)));
@@ -43,8 +43,8 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// The result of `work`, and the most memory that it held at a time on this thread, in bytes. That is 0 in programs that do
-/// not count.
+/// Runs `work`; returns its result and its peak memory on this thread, in bytes. The peak is 0 in programs whose allocator
+/// does not count.
 pub fn measured<T>(work: impl FnOnce() -> T) -> (T, usize) {
     HELD.set((0, 0));
     let result = work();

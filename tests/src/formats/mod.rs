@@ -1,6 +1,7 @@
-//! What any bytes get from every reader of files: no panic, no more memory than a stated multiple of their number, and where
-//! they are refused an error of one line that begins with the file's name and says what to do. The tests try changes of valid
-//! files ([`Format::try_changes`]); the programs in `fuzz/` let libFuzzer choose the bytes ([`Format::check`]).
+//! Checks that every file reader must pass for arbitrary bytes: no panic, and no more memory than a stated multiple of the
+//! file's size. The error of a refused file has one line that begins with the file's name and says what to do. The tests
+//! change valid files at random ([`Format::try_changes`]); the programs in `fuzz/` let libFuzzer choose the bytes
+//! ([`Format::check`]).
 
 pub mod memory;
 mod mutate;
@@ -17,20 +18,20 @@ type Read = Box<dyn Fn(&[u8]) -> Result<()> + Send + Sync>;
 type Seeds = Box<dyn Fn() -> Vec<Vec<u8>> + Send + Sync>;
 type Limit = Box<dyn Fn(&[u8]) -> usize + Send + Sync>;
 
-/// A format of files, and what any bytes get from its reader.
+/// A file format, with its reader and the reader's limits.
 pub struct Format {
-    /// Its name.
+    /// Name of the format.
     pub name: &'static str,
-    /// Names with one of which every refusal begins.
+    /// File names, one of which begins every refusal.
     files: &'static [&'static str],
     read: Read,
     seeds: Seeds,
-    /// The most memory of the reader, bytes, for these bytes.
+    /// Memory limit of the reader in bytes, for the given bytes.
     limit: Limit,
 }
 
 impl Format {
-    /// The format of that name.
+    /// Returns the format of that name.
     ///
     /// # Panics
     /// If there is none.
@@ -46,15 +47,15 @@ impl Format {
         (self.seeds)()
     }
 
-    /// The most memory that reading `bytes` takes at a time.
+    /// Peak memory of reading `bytes`, in bytes.
     pub fn memory(&self, bytes: &[u8]) -> usize {
         memory::measured(|| (self.read)(bytes)).1
     }
 
-    /// Reads `bytes`; true if they are a valid file.
+    /// Reads `bytes`; returns true if they are a valid file.
     ///
     /// # Panics
-    /// If they break a law.
+    /// If a check fails.
     pub fn check(&self, bytes: &[u8]) -> bool {
         let (result, most) = memory::measured(|| (self.read)(bytes));
         let limit = (self.limit)(bytes);
@@ -73,7 +74,7 @@ impl Format {
         }
     }
 
-    /// An error that a person can act on.
+    /// Asserts an error of one line with the file's name and an action.
     fn expect_told(&self, error: &Error) {
         let message = &error.message;
         assert_eq!((error.kind, error.exit_code()), (ErrorKind::Input, 2), "{message}");
@@ -86,10 +87,10 @@ impl Format {
         assert!(message.contains("; "), "nothing to do: {message}");
     }
 
-    /// Checks `cases` changes of valid files; returns how many of them were valid.
+    /// Checks `cases` random changes of valid files; returns how many changed files are still valid.
     ///
     /// # Panics
-    /// If one breaks a law; its number and its bytes, in a file, are printed.
+    /// If a check fails. Prints the number of the case and the path of a file with its bytes.
     pub fn try_changes(&self, seed: u64, cases: u64) -> u64 {
         let seeds = self.valid();
         for (index, bytes) in seeds.iter().enumerate() {
@@ -110,7 +111,7 @@ impl Format {
     }
 }
 
-/// Says which case it is that panics.
+/// Prints the case during which a check panics.
 struct CaseReport<'a> {
     format: &'a str,
     case: u64,

@@ -1,7 +1,7 @@
-//! Changes of valid files at random: bits, cuts, numbers and words where others were, parts doubled and parts of other files.
-//! A case is a hash of its seed, so it can be repeated.
+//! Random changes of valid files: bits, cuts, replaced numbers and words, duplicated parts, and parts of other files. A case
+//! follows from a hash of its seed and number, so it can be repeated.
 
-/// Numbers at random (SplitMix64).
+/// Random numbers (SplitMix64).
 pub(super) struct Random(pub(super) u64);
 
 impl Random {
@@ -23,7 +23,7 @@ impl Random {
     }
 }
 
-/// What takes the place of words and of lines.
+/// Replacements of words and of lines.
 const WORDS: [&str; 30] = [
     "nan",
     "-inf",
@@ -57,7 +57,7 @@ const WORDS: [&str; 30] = [
     "\r\n",
 ];
 
-/// What takes the place of the bytes of numbers.
+/// Replacements of the bytes of numbers.
 const NUMBERS: [u64; 12] = [
     0,
     1,
@@ -97,7 +97,7 @@ fn change(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
         4 => {
             let number = NUMBERS[random.below(NUMBERS.len())].to_le_bytes();
             let length = [1, 2, 4, 8][random.below(4)];
-            // Counts and numbers of binary files begin at multiples of 4 for the most part.
+            // Most counts and numbers of binary files begin at multiples of 4.
             let at = if length >= 4 { at / 4 * 4 } else { at };
             bytes.splice(at..(at + length).min(end), number[..length].iter().copied());
         }
@@ -126,7 +126,7 @@ fn change(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
     }
 }
 
-/// Puts `with` in the place of what stands around `at`, up to where it `ends`.
+/// Replaces the bytes around `at` by `with`, on both sides up to the nearest byte for which `ends` is true.
 fn instead(bytes: &mut Vec<u8>, at: usize, with: &str, ends: fn(u8) -> bool) {
     let start = bytes[..at].iter().rposition(|&byte| ends(byte)).map_or(0, |before| before + 1);
     let stop = bytes[at..].iter().position(|&byte| ends(byte)).map_or(bytes.len(), |length| at + length);

@@ -1,5 +1,5 @@
-//! Every reader, with the most memory that it may take: a multiple of the file's bytes and a constant. Multiples are of the
-//! shortest entries possible, which hold the most for their bytes.
+//! Every reader with its memory limit: a multiple of the file's size, plus a constant. The multiples follow from the shortest possible
+//! entries, which take the most memory per byte of file.
 
 use super::{Format, seeds};
 use image::ImageReader;
@@ -19,14 +19,14 @@ use trimip_data::{
     in_memory::{self, CameraFile},
 };
 
-/// Defaults of settings, messages, the first entries of lists that grow.
+/// Constant part of a limit: default settings, messages, and the first entries of growing lists.
 const FIXED: usize = 1 << 20;
 
-/// Files of a COLMAP model, by how it is written.
+/// Names of the files of a COLMAP model, as text and as binary.
 const TEXT: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
 const BINARY: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-/// All formats: those of the files of cameras that scene readers register, and all others.
+/// All formats: the camera files that scene readers register, and all others.
 pub static FORMATS: LazyLock<Vec<Format>> =
     LazyLock::new(|| in_memory::camera_files().map(of_cameras).chain(others()).collect());
 
@@ -88,7 +88,7 @@ fn others() -> [Format; 15] {
         of("configuration", &["run.toml"], configuration, seeds::configurations, |b| 400 * b.len() + FIXED),
         of("assignment", &["--set"], assignment, seeds::assignments, |b| 400 * b.len() + FIXED),
         of("path", &["path.json"], path, seeds::paths, |b| 160 * b.len() + FIXED),
-        // A proxy and a packed model are compressed: DEFLATE makes at most 1032 bytes of one, and each may be a float.
+        // A proxy and a packed model are compressed: DEFLATE expands one byte to at most 1032, and each of them may become a float.
         of("model", &["model.safetensors", "the model's proxy"], model, seeds::models, |b| {
             5400 * b.len() + FIXED
         }),
@@ -102,7 +102,7 @@ fn others() -> [Format; 15] {
     ]
 }
 
-/// Cameras that are read have finite numbers only.
+/// Asserts finite numbers, and a positive focal length and size.
 fn expect_finite(camera: &Camera) {
     let k = &camera.intrinsics;
     assert!(camera.rotation.is_finite() && camera.origin.is_finite(), "{camera:?}");
@@ -110,7 +110,7 @@ fn expect_finite(camera: &Camera) {
     assert!(k.fx > 0.0 && k.fy > 0.0 && k.width > 0 && k.height > 0, "{camera:?}");
 }
 
-/// The first byte says which of the three files the others are; the two others are valid.
+/// Parses a COLMAP model of two valid files and `bytes`. The first byte selects the file that the other bytes replace.
 fn colmap(encoding: Encoding, names: [&str; 3], bytes: &[u8]) -> Result<()> {
     let (&which, bytes) = bytes.split_first().unwrap_or((&0, &[]));
     let mut files = seeds::sparse_files(encoding == Encoding::Binary).each_ref().map(Vec::as_slice);
@@ -128,8 +128,9 @@ fn ply(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Pixels of 8 bytes while they are decoded and 4 afterwards; coefficients of a progressive JPEG; what decoders hold beside. A part of a WebP
-/// file, whose length has 24 bits, and a tile of a TIFF file are held before they are read.
+/// Memory limit of a picture: pixels of 8 bytes during decoding and of 4 afterwards, the coefficients of a progressive JPEG, and the
+/// decoder's own buffers. Decoders allocate a chunk of a WebP file, whose length has 24 bits, and a tile of a TIFF file before they read
+/// it.
 fn picture(bytes: &[u8]) -> usize {
     let size = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
     let size = size.and_then(|reader| reader.into_dimensions().ok()).unwrap_or((0, 0));
@@ -143,7 +144,7 @@ fn picture(bytes: &[u8]) -> usize {
     }
 }
 
-/// A text, or no text, which the programs refuse where they read the file.
+/// The bytes as text. `None` if they are not UTF-8; the programs refuse such a file when they read it.
 fn text(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes).ok()
 }
@@ -188,7 +189,7 @@ fn csv(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Lines that are no events are left out: a killed run ends with one.
+/// Lines that are no events are skipped, because a killed run may end with a torn line.
 fn events(bytes: &[u8]) -> Result<()> {
     let history = History::of(&events_of(bytes));
     history.best_known();

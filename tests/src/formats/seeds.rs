@@ -1,4 +1,4 @@
-//! Valid files of every format, small, most of them written by the program itself.
+//! Small valid files of every format, most of them written by the program itself.
 
 #[allow(missing_docs, dead_code)]
 #[path = "../../../trimip-data/tests/common/colmap.rs"]
@@ -28,7 +28,7 @@ use trimip_data::settings::DataConfig;
 const POSE: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -4.0], [0.0, 1.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
 
-/// An archive with a folder and what is left out, stored and compressed files; a smaller one.
+/// Two archives: one with a folder, an entry that is skipped, stored and compressed files; and a smaller one.
 pub(super) fn archives() -> Vec<Vec<u8>> {
     let camera = br#"{"camera_angle_x": 0.7, "frames": []}"#;
     let scene = [
@@ -41,7 +41,7 @@ pub(super) fn archives() -> Vec<Vec<u8>> {
     vec![zip::archive(&scene), zip::archive(&scene[3..])]
 }
 
-/// More files of a kind of cameras than the example that its reader has.
+/// Further files of a kind of camera files, in addition to the example of its reader.
 pub(super) fn of_cameras(kind: &str) -> Vec<Vec<u8>> {
     match kind {
         "transforms" => transforms(),
@@ -95,7 +95,7 @@ fn metadata() -> Vec<Vec<u8>> {
     vec![written.clone(), full.to_string().into_bytes()]
 }
 
-/// A COLMAP model of one image for every camera model, each with five features, and five points.
+/// A COLMAP model with one image per camera model, five features per image, and five points.
 pub fn sparse() -> Sparse {
     let mut sparse = colmap::capture();
     sparse.images.iter_mut().for_each(|image| image.5.truncate(5));
@@ -109,7 +109,7 @@ pub(super) fn sparse_files(binary: bool) -> &'static [Vec<u8>; 3] {
     &both[usize::from(binary)]
 }
 
-/// Each of the three files behind its number.
+/// The three files, each preceded by its number.
 pub(super) fn colmap(binary: bool) -> Vec<Vec<u8>> {
     (0..).zip(sparse_files(binary)).map(|(which, file)| [&[which][..], file].concat()).collect()
 }
@@ -230,7 +230,8 @@ fn tiny() -> Config {
     Config::from_settings(&settings).expect("the configuration is valid")
 }
 
-/// Tensors of a model of `config` with its first parameters, and where `moments` are given those of a training.
+/// Tensors of a model of `config` with its initial parameters, once per suffix; with several suffixes, occupancy
+/// densities too.
 fn tensors(config: &Config, suffixes: &[&str]) -> TensorFile {
     let layout = Layout::new(config);
     let values = layout.initial(config);

@@ -30,7 +30,7 @@ struct RayParameter {
     direction: [f64; 3],
     /// Distance of the nearest point, radii.
     middle: f64,
-    /// Distance of that point to the centre, radii.
+    /// Distance of that point from the centre, radii.
     nearest: f64,
     reach: f64,
     speed: f64,
@@ -81,7 +81,7 @@ pub struct Step {
     pub sample: Sample,
     /// World length, ds·(dt/ds).
     pub length: f64,
-    /// Parameter at the end of the ray minus that of the middle.
+    /// Parameter at the end of the ray minus the parameter at the middle of the step.
     pub left: f64,
 }
 

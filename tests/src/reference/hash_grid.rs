@@ -52,7 +52,8 @@ fn erf(x: f64) -> f64 {
 }
 
 impl HashGrid {
-    /// Places in the unit cube, and standard deviations in longest sides of the box (Zip-NeRF, Section 2).
+    /// Points of a sample in the unit cube, and their standard deviations in units of the box's longest side (Zip-NeRF,
+    /// Section 2).
     fn points(&self, sample: &Sample) -> Vec<([f64; 3], f64)> {
         let longest = self.extent.into_iter().fold(0.0, f64::max);
         let deviation = |radius: f64| 0.5 * radius / 2_f64.sqrt() / longest;
@@ -60,7 +61,8 @@ impl HashGrid {
             return vec![(sample.position, deviation(sample.radius))];
         }
         let d = DVec3::from(sample.direction);
-        // Two directions across the ray (Duff et al. 2017): x and y, turned as z or −z is into the ray.
+        // Two directions perpendicular to the ray (Duff et al. 2017): x and y under the rotation that turns z or −z
+        // into the ray.
         let sign = if d.z < 0.0 { -1.0 } else { 1.0 };
         let turned = |e: DVec3| {
             let axis = DVec3::Z * sign + d;

@@ -9,8 +9,8 @@ use trimip_core::{
     field::losses::{ADJUSTMENTS, ConeSamples, Definition, PIXEL_TERMS, RAY_TERMS, RaySample},
 };
 
-/// Place and width of a sample: distance and length in a bounded space, both as parameters of the ray in a contracted one, in
-/// units of the longest side of the box.
+/// Place and width of a sample in units of the longest side of the box: distance and length in bounded space, parameters of
+/// the ray in contracted space.
 pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
     if config.scene.contraction == Contraction::Ball {
         return contraction::along(config, ray, sample);
@@ -20,7 +20,7 @@ pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
     [sample.t / longest, sample.length / longest]
 }
 
-/// A sample of optical depth `depth`, as terms of rays see it.
+/// A sample of optical depth `depth`, as the ray terms of the loss read it.
 pub fn ray_sample(config: &Config, ray: &Ray, sample: &Sample, depth: f64) -> RaySample<f64> {
     let [place, width] = along(config, ray, sample);
     RaySample { depth, t: sample.t, length: sample.length, place, width }
@@ -36,7 +36,8 @@ pub fn shown(pixel: [f64; 4], target: &Target) -> [f64; 3] {
     })
 }
 
-/// The loss of a pixel [r, g, b, opacity] of a photograph with `gains`, without the weight of its area.
+/// Loss of a pixel [r, g, b, opacity] of a photograph with `gains`, before it is multiplied by the weight of the pixel's
+/// area.
 pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 3]) -> f64 {
     let loss = &config.loss;
     let behind = target.background.map(|b| (1.0 - f64::from(target.opacity)) * f64::from(b));
@@ -50,7 +51,8 @@ pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 
     (0..3).map(channel).sum::<f64>() / 3.0 + others.sum::<f64>()
 }
 
-/// The terms of rays of a pixel: the mean over its cones, without the weight of its area. A cone without samples has none.
+/// Ray terms of a pixel: the mean over its cones, without the weight of the pixel's area. A cone without samples adds
+/// nothing.
 pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
     let at_work = RAY_TERMS.iter().filter(|term| weight(**term, config) > 0.0);
     let of = |term: &&dyn trimip_core::field::losses::RayTerm| {

@@ -42,7 +42,7 @@ pub struct Reference {
     color: Vec<Layer>,
 }
 
-/// A linear layer, weights [inputs, outputs]; no biases if there are none.
+/// A linear layer with weights [inputs, outputs]. Its biases are empty if it has none.
 struct Layer {
     outputs: usize,
     weights: Vec<f64>,
@@ -165,7 +165,7 @@ impl Reference {
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
     }
 
-    /// The same, black where a weight is below `renderer.color_weight`.
+    /// Replaces colours by black where a sample's weight is below `renderer.color_weight`.
     fn without_faint(&self, samples: &[Sample], radiance: Vec<(f64, [f64; 3])>) -> Vec<(f64, [f64; 3])> {
         let least = self.config.renderer.color_weight.at(1.0);
         let depth = |k: usize| radiance[k].0 * samples[k].length;
@@ -174,9 +174,9 @@ impl Reference {
         (0..samples.len()).map(|i| (radiance[i].0, shown(i))).collect()
     }
 
-    /// The loss over pixels with the given cones and kept samples: Σ weight·(photometric term + terms of pixels + terms of
-    /// rays), divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent
-    /// of its photograph, at gains of 1.
+    /// The loss over pixels with the given cones and kept samples: Σ weight·(photometric term + pixel terms + ray terms),
+    /// divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent of its
+    /// photograph, at gains of 1.
     pub fn loss(&self, pixels: &[(Target, Vec<KeptCone>)]) -> f64 {
         let (config, mut loss, mut weights) = (&self.config, 0.0, 0.0);
         let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss, 0.0).is_empty();
@@ -202,7 +202,7 @@ impl Reference {
         loss / weights
     }
 
-    /// The samples of a ray with their optical depths, as terms of rays see them.
+    /// The samples of a ray with their optical depths, as the ray terms of the loss read them.
     fn ray_samples(&self, ray: &Ray, samples: &[Sample]) -> Vec<RaySample<f64>> {
         let of = |(sample, density): (&Sample, &f64)| {
             loss::ray_sample(&self.config, ray, sample, density * sample.length)
@@ -316,9 +316,9 @@ pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]
     samples
 }
 
-/// Indices of the kept samples of a ray (transmittance before them, and their weight with that of the dropped ones since the
-/// last kept one, at least the configured minima), how many times its own length each stands for, and the margin of the closest
-/// decision: the smallest |ln T − ln T_min| or |ln w − ln w_min|.
+/// Kept samples of a ray, and the margin of the closest decision: the smallest |ln T − ln T_min| or |ln w − ln w_min|. A sample
+/// is kept if the transmittance before it, and its weight joined with the dropped samples since the last kept one, reach the
+/// configured minima. A kept sample is its index and the multiple of its own length that it represents.
 pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<(usize, f64)>, f64) {
     let [least, lightest] =
         [config.renderer.min_transmittance, config.renderer.min_weight].map(|limit| f64::from(limit).ln());
@@ -342,8 +342,8 @@ pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<(
     (kept, margin)
 }
 
-/// Number of leading samples with a transmittance before them of at least the configured minimum, and the margin of the
-/// decision: the smallest |ln T − ln T_min| over the samples.
+/// Number of leading samples before which the transmittance is at least the configured minimum, and the margin of the decision:
+/// the smallest |ln T − ln T_min| over the samples.
 pub fn kept(config: &Config, samples: &[Sample], densities: &[f64]) -> (usize, f64) {
     let limit = f64::from(config.renderer.min_transmittance).ln();
     let (mut log_transmittance, mut margin) = (0.0_f64, f64::INFINITY);

@@ -22,9 +22,9 @@ const FEW: usize = 4;
 pub struct Gradient {
     /// Mean loss.
     pub loss: f64,
-    /// Gradient by the weights of each layer, density network first.
+    /// Gradient with respect to the weights of each layer, density network first.
     pub layers: Vec<Vec<f64>>,
-    /// Gradient by the features of every sample.
+    /// Gradient with respect to the features of every sample.
     pub features: Vec<(Sample, Vec<f64>)>,
 }
 
@@ -85,8 +85,8 @@ impl Network<'_> {
 }
 
 impl Reference {
-    /// Loss and gradient of rays with given kept samples and the features of all samples in order. The features are
-    /// those of a backend, as their last bits decide how some of them round. `round` rounds the factors of products.
+    /// Loss and gradient of rays with given kept samples and the features of all samples in order. The features come
+    /// from a backend, because their last bits decide how some of them round. `round` rounds the factors of products.
     /// The harmonics of a ray are multiplied by the sum of its samples' gradients, as on the CPU. `loss.opacity` is
     /// taken as 0, and every ray with a sample counts.
     pub fn gradient(
@@ -120,7 +120,7 @@ impl Reference {
                     ((output[0] - 1.0).exp() * sample.length, rgb, geometry, shade)
                 })
                 .collect();
-            // Transmittance before each sample and behind the last.
+            // Transmittance before each sample and after the last.
             let mut transmittance = vec![1.0];
             seen.iter().for_each(|(depth, ..)| {
                 transmittance.push(transmittance[transmittance.len() - 1] * (-depth).exp());

@@ -1,4 +1,4 @@
-//! A sample of a ray, and what an encoder is: a function of it.
+//! A sample of a ray, and encoders as functions of a sample.
 
 use trimip_core::{
     Config,
@@ -42,12 +42,12 @@ impl Sample {
     }
 }
 
-/// Radius of the sphere of a ray at a distance.
+/// Radius of a ray's sphere at distance `t`.
 pub fn radius(ray: &Ray, t: f64) -> f64 {
     f64::from(ray.radius) + f64::from(ray.slope) * t
 }
 
-/// Distance from the apex at a distance along the ray; that of a cylinder is very far.
+/// Distance from the apex of the cone at distance `t` along the ray. A cylinder is a cone with a very distant apex.
 pub fn apex(ray: &Ray, t: f64) -> f64 {
     if ray.radius > 0.0 { 1e5 * t } else { t }
 }

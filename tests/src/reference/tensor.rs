@@ -1,6 +1,6 @@
-//! Factored tensors from their definition (Chen et al. 2022, Eq. 3 and 8): a component of VM is the outer product of a
-//! matrix over two axes and a vector over the third, one of CP that of three vectors; both are interpolated linearly between
-//! grid points, of which the first and the last lie on the border of the box.
+//! Factored tensors from their definition (Chen et al. 2022, Eq. 3 and 8). A VM component is the outer product of a matrix
+//! over two axes and a vector over the third; a CP component is that of three vectors. Both are interpolated linearly
+//! between grid points. The first and the last grid point lie on the border of the box.
 
 use super::sample::{Literal, Sample};
 use trimip_core::Config;
@@ -60,7 +60,7 @@ impl Literal for Tensor {
         let [x, y, z] = self.sides;
         let mut features = Vec::new();
         for Factors { components, matrices, vectors } in &self.factors {
-            // Vectors stand in the order z, y, x; matrices in the order xy, xz, yz, x or y along a row.
+            // Vectors are stored in the order z, y, x; matrices in the order xy, xz, yz, x or y along a row.
             let vector = |axis: usize, c: usize| {
                 let first = [z + y, z, 0][axis];
                 self.along(axis, position[axis], |i| vectors[(first + i) * components + c])

@@ -1,5 +1,5 @@
-//! A grid of densities and spherical harmonics from its definition (Fridovich-Keil et al. 2022, Section 3): both are
-//! interpolated trilinearly between grid points, of which the first and the last lie on the border of the box, and a colour is
+//! A grid of densities and spherical harmonics from its definition (Fridovich-Keil et al. 2022, Section 3). Both are
+//! interpolated trilinearly between grid points; the first and the last grid point lie on the border of the box. A colour is
 //! the sum of its coefficients times the basis in the direction of the ray.
 
 use super::harmonics;

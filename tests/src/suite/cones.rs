@@ -69,7 +69,8 @@ pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A pixel of the quincunx is the mean of the same pixel of five cameras, moved by a quarter of a pixel.
+/// A quincunx pixel is the mean of one pixel of five cameras: one in place, and four moved by a quarter of a pixel along
+/// both axes.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -83,7 +84,7 @@ pub fn quincunx<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
         trainer.set_parameters(&parameters);
         trainer.occupy_all();
-        // The place (x, y) in a pixel takes the part of its centre.
+        // The camera is moved so that (x, y) becomes the centre of each pixel.
         let moved = Intrinsics { cx: intrinsics.cx + 0.5 - x, cy: intrinsics.cy + 0.5 - y, ..intrinsics };
         trainer.render(&Camera::look_at(moved, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z))
     };
@@ -100,8 +101,8 @@ pub fn quincunx<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// In a training step every scale has the cones of the rule, within the schedule. A pixel's cones tile it, and a part of
-/// a step is the same part of the whole.
+/// In a training step the cone rule sets the number of cones of every scale, up to the schedule's limit. The cones of a
+/// pixel tile it. Drawing part of a step gives the same part of the whole step.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -128,12 +129,13 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         assert_eq!((groups.len(), targets.len(), first), (PIXELS as usize, PIXELS as usize, 0));
         let mut next = 0;
         for (group, target) in groups.iter().zip(&targets) {
-            // Weights 4^(level / 2) tell the scale.
+            // The weight 4^(level / 2) identifies the scale.
             let level = target.weight.log2().round() as usize;
             let side = sides[level];
             assert_eq!((group.start, group.count), (next, side * side), "{progress}, scale {level}");
             next += group.count;
-            // The camera whose pixel it is: the mean of the cones' places is the middle of one of its pixels.
+            // The pixel's camera has the origin of its rays; the cones lie at the centres of a regular grid in the
+            // pixel.
             let own = &rays[group.range()];
             let place = |ray: &Ray, camera: &Camera| {
                 let direction = DVec3::from_array(ray.direction.map(f64::from));
@@ -171,7 +173,7 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A group of equal cones renders the same as one of them, and each of n has 1/n of its gradient.
+/// A group of n equal cones renders the same as one of them, and each cone has 1/n of its gradient.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -1,4 +1,4 @@
-//! Unbounded space: samples against the literal equations, fog and walls with a known answer.
+//! Unbounded space: samples against the literal equations, fog of known opacity, pictures against f64.
 
 use super::Bench;
 use crate::{
@@ -37,8 +37,8 @@ fn model(config: &Config, parameters: &[f32]) -> Result<Model> {
     Ok(Model::new(config.clone(), file))
 }
 
-/// Distances, lengths, places and radii of samples are those of the equations, and exactly the occupied steps have one,
-/// except near borders.
+/// Samples have the distances, lengths, places and radii of the equations. Exactly the occupied steps have a sample, except
+/// near borders.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -74,7 +74,8 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                         let found = f64::from(found);
                         assert!((found - expected).abs() <= bound, "{sample:?}: {found}, not {expected}");
                     };
-                    // Parameters are known to a few 1e-7, where a step is 1e-2: far away, that is much of a distance.
+                    // Ray parameters have an error of a few 1e-7, and a step is 1e-2. Far away, this error becomes a large
+                    // distance.
                     let off = 1e-4 * length;
                     close(interval.t, sample.t, off);
                     close(interval.length, sample.length, 1e-3 * sample.length);
@@ -92,9 +93,9 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Fog of the field's density σ everywhere hides, from the centre of the ball with radius r, 1 − exp(−σ·(2 − 1/1000)·r) of
-/// what lies infinitely far away, and half as much optical depth within the ball. A query gives the density per world unit:
-/// σ within the ball, σ/n² beyond.
+/// Fog of density σ, seen from the centre of the ball of radius r, has the opacity 1 − exp(−σ·(2 − 1/1000)·r) in front of
+/// what lies infinitely far away; about half of the optical depth lies within the ball. A query returns the density per
+/// world unit: σ within the ball, σ/n² beyond.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -123,7 +124,7 @@ pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Pictures of a lively field, from within the ball and from outside, are those of the model in f64.
+/// Pictures of a lively field, from within the ball and from outside, match the model in f64.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -144,7 +145,7 @@ pub fn exact<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let expected = exact.pixel(&camera, x, y, config.renderer.steps_per_diagonal);
             for c in 0..3 {
                 let off = (f64::from(pixel.rgb[c]) - expected[c]).abs();
-                // What lies behind a transmittance of 1e-4 is left out.
+                // Rendering stops at a transmittance of 1e-4.
                 assert!(off < 3e-4, "{from}: pixel {x}, {y}: {:?}, not {expected:?}", pixel.rgb);
             }
         }

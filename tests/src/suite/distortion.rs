@@ -1,4 +1,4 @@
-//! The distortion loss: the whole training step against finite differences, and what a change of units changes.
+//! The distortion loss: the whole training step against finite differences, and its independence of the unit of length.
 
 use super::{
     gradients::of_a_step,
@@ -52,7 +52,7 @@ fn spaces(scale: f32, weight: f32) -> [Config; 2] {
     })
 }
 
-/// Eight times the world with an eighth of the density is the same loss. Without a weight there is none.
+/// A world eight times as large with an eighth of the density has the same loss. At a weight of 0 there is no loss.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

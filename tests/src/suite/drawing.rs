@@ -1,5 +1,5 @@
-//! Samples drawn by their gradients: which are drawn, what their gradients become, the expectation of a whole step's gradient,
-//! and runs that draw.
+//! Drawing samples by the size of their gradients: which samples are drawn, how their gradients are scaled, the expectation of a whole
+//! step's gradient, and runs that draw samples.
 
 use super::{Bench, training};
 use crate::fixtures::{TestRandom, every_encoder, lively, nerf_networks, noise, small};
@@ -18,8 +18,8 @@ use trimip_core::{
 /// Rays of a step.
 const RAYS: u32 = 96;
 
-/// Largest deviation of a mean from its expectation, in standard deviations estimated from as many values: Student's t, which one of
-/// 10⁶ means exceeds.
+/// Largest deviation of a mean of `values` values from its expectation, in standard deviations estimated from these values: the bound of
+/// Student's t that one of 10⁶ means exceeds.
 fn largest_deviation(values: u64) -> f64 {
     if values < 100 { 8.0 } else { 5.3 }
 }
@@ -48,8 +48,8 @@ fn configurations() -> Vec<Config> {
     all
 }
 
-/// The mean gradient over `draws`, at least 20, is the gradient of all samples, in every slot: along random directions within the standard
-/// deviation of the mean. With a threshold below all norms a draw changes no bit.
+/// In every slot, the mean gradient over `draws` draws, at least 20, is the gradient of all samples. The two are compared along random
+/// directions, in units of the standard deviation of the mean. With a threshold below all norms, drawing changes no bit.
 ///
 /// # Errors
 /// When a step fails.
@@ -68,7 +68,7 @@ pub fn unbiased<B: Backend>(make: impl Fn() -> B, draws: u64) -> Result<()> {
             let close = f64::from((found - expected).abs()) <= ROUNDING * size;
             assert!(if all.drawn == sums.kept { found.to_bits() == expected.to_bits() } else { close });
         }
-        // A threshold at which about a third is drawn, by bisection of its exponent.
+        // Finds a threshold at which about a third of the samples is drawn, by bisection of its exponent.
         let [mut low, mut high] = [-9.0_f64, 3.0];
         let threshold = loop {
             let threshold = 10_f64.powf((low + high) / 2.0);
@@ -113,7 +113,7 @@ pub fn unbiased<B: Backend>(make: impl Fn() -> B, draws: u64) -> Result<()> {
     Ok(())
 }
 
-/// Marks and gradients are those that the equations say, and the kept rows are the marked ones.
+/// The drawn samples and their gradients follow the equations, and the kept rows are those of the drawn samples.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -210,7 +210,7 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A run draws the fraction that its schedule says, within a tenth, and learns.
+/// A run draws all samples until its schedule begins, and then the scheduled fraction, within a tenth.
 ///
 /// # Errors
 /// When a step fails.

@@ -20,7 +20,7 @@ use trimip_core::{
     field::tensors::Values,
 };
 
-/// Makes the exchange of a backend.
+/// Creates the exchange of a backend.
 type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>, &Config) -> Box<dyn Exchange<B>> + Sync);
 
 /// Configurations that cover every path from the gradient to the parameters.
@@ -36,7 +36,7 @@ fn configurations() -> Result<Vec<Config>> {
     Ok(all)
 }
 
-/// `count` steps on `ranks` ranks, from `checkpoint` on; returns the checkpoint of every rank.
+/// Takes `count` steps on `ranks` ranks, starting from `checkpoint`; returns the checkpoint of every rank.
 fn train<B: Backend>(
     make: &(impl Fn() -> B + Sync),
     exchange: Make<'_, B>,
@@ -54,7 +54,7 @@ fn train<B: Backend>(
         if let Some(checkpoint) = checkpoint {
             trainer.restore(checkpoint)?;
         }
-        // A checkpoint on the way is that of rank 0 alone, and changes nothing.
+        // Only rank 0 takes the checkpoint halfway, and this changes nothing.
         steps(&mut trainer, config, count / 2)?;
         match number {
             None => {}
@@ -74,14 +74,14 @@ fn train<B: Backend>(
     })
 }
 
-/// True if two checkpoints hold the same bits, counters included.
+/// True if two checkpoints have the same bits, counters included.
 fn same(a: &Checkpoint, b: &Checkpoint) -> bool {
     let bits = |checkpoint: &Checkpoint| format!("{:?}", checkpoint.state);
     bits(a) == bits(b) && a.file == b.file
 }
 
-/// Any number of ranks has the bits of one process, on every rank: parameters, moments, occupancy, gains and counters. A run
-/// goes on from a checkpoint with another number of ranks.
+/// With any number of ranks, every rank has the bits of one process: parameters, moments, occupancy, gains and counters. A run can
+/// resume from a checkpoint with another number of ranks.
 ///
 /// # Errors
 /// When a step fails.
@@ -111,8 +111,8 @@ pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>)
     Ok(())
 }
 
-/// Ranks that add up their gradients keep the same bits and see every pixel of a step once. Their gradient is that of one process
-/// but for rounding: the first moments after one step, of which it is a multiple, say so.
+/// Ranks that add up their gradients keep the same bits and see every pixel of a step once. Their gradient is that of one process up
+/// to rounding. The test compares the first moments after one step, which are a multiple of the gradient.
 ///
 /// # Errors
 /// When a step fails.
@@ -147,10 +147,10 @@ pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
     Ok(())
 }
 
-/// A rank that receives the messages of one all_to_all with another length.
+/// A rank that changes the length of the messages it receives in one `all_to_all`.
 struct Broken {
     ranks: Arc<Threads>,
-    /// Trades until then.
+    /// Number of `all_to_all` calls before that one.
     trades: AtomicUsize,
     change: fn(&mut Vec<u8>),
 }
@@ -189,8 +189,8 @@ impl Ranks for Broken {
     }
 }
 
-/// Messages of another length than they were sent with end the run on every rank, with the error of a rank that is gone. No step
-/// is taken with what they seem to say.
+/// Messages that arrive with another length than sent end the run on every rank with a device error. If they carry partial gradients
+/// or their sums, no parameter moves.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -206,7 +206,7 @@ pub fn broken<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>) ->
     skipping.optimizer.untouched = Untouched::Skip;
     let whole =
         fixtures::every_encoder().into_iter().map(|encoder| fixtures::encoded(configuration(), &encoder));
-    // The trades of a step: its partial gradients; where planes are divided, sums and changed texels too, and moments at a checkpoint.
+    // Exchanges of a step: its partial gradients; if planes are divided, also sums and changed texels, and moments at a checkpoint.
     let mut cases: Vec<(Config, Make<'_, B>, usize)> = whole.map(|config| (config, exchange, 0)).collect();
     cases.extend((0..4).map(|all_to_all| (skipping.clone(), exchange, all_to_all)));
     cases.extend((0..2).map(|all_to_all| (configuration(), summed, all_to_all)));

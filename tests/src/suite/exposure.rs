@@ -1,4 +1,4 @@
-//! Exposure of photographs: the slopes of a whole step by log-gains, and what gains change of a run.
+//! Exposure of photographs: derivatives of a whole step with respect to log-gains, and the effect of gains on a run.
 
 use super::training::{configuration, steps};
 use crate::fixtures::{lively, noise};
@@ -20,8 +20,8 @@ pub fn exposed() -> Config {
     config
 }
 
-/// The gradient of a whole step by the log-gains is the slope of its loss, also where views of several scales belong to one
-/// photograph, and through the mean that is subtracted.
+/// The gradient of a whole step with respect to the log-gains is the slope of its loss, also where views of several scales
+/// belong to one photograph, and through the mean that is subtracted.
 ///
 /// # Errors
 /// When a step fails.
@@ -36,7 +36,7 @@ pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     assert_eq!(gradient.len(), PHOTOGRAPHS);
     let most = gradient.as_flattened().iter().fold(0.0_f32, |most, g| most.max(g.abs()));
     assert!(most > 1e-3, "{gradient:?}");
-    // A difference of fourth order: a device adds its losses in f32, so steps are long.
+    // A fourth-order difference with long steps, because a device adds its losses in f32.
     let h = 1.0 / 16.0;
     for (photograph, c) in (0..PHOTOGRAPHS).flat_map(|photograph| [0, 1, 2].map(|c| (photograph, c))) {
         let mut at = |by: f32| -> Result<f64> {
@@ -53,14 +53,14 @@ pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Opaque photographs: what they show has no background of its own.
+/// Opaque photographs, in which no background is visible.
 fn opaque() -> ViewSet {
     let mut views = noise(3, 16, 2, 2);
     views.pixels.iter_mut().for_each(|pixel| pixel[3] = 255);
     views
 }
 
-/// Gains that stay 1 change no bit of a run, gains that move do, and no model holds them.
+/// Gains that stay 1 change no bit of a run, gains that move do, and no model file contains gains.
 ///
 /// # Errors
 /// When a step fails.

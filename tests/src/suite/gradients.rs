@@ -128,8 +128,7 @@ fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Referenc
     result
 }
 
-/// Entries of a slot to differentiate: for texels those with a gradient, for layers any; and a few more that may have
-/// none.
+/// Entries of a slot to differentiate: 24 (texels) or 8 (layers) with a gradient, and four that may have none.
 fn entries(gradient: &[f32], sparse: bool, random: &mut TestRandom) -> Vec<usize> {
     let mut chosen: Vec<usize> = (0..4).map(|_| random.below(gradient.len())).collect();
     let live: Vec<usize> = (0..gradient.len()).filter(|&i| gradient[i] != 0.0).collect();
@@ -139,7 +138,7 @@ fn entries(gradient: &[f32], sparse: bool, random: &mut TestRandom) -> Vec<usize
     chosen
 }
 
-/// The central difference for this step and parameter, which is the reference's alone: backends that have the same samples share it.
+/// The central difference for this step and parameter. It depends only on the reference, so backends with the same samples share it.
 fn taken_once(key: (u64, usize), take: impl FnOnce() -> f64) -> f64 {
     static TAKEN: Mutex<BTreeMap<(u64, usize), f64>> = Mutex::new(BTreeMap::new());
     let known = TAKEN.lock().expect("no test failed here").get(&key).copied();
@@ -173,7 +172,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     configurations().iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
 }
 
-/// The same for one configuration.
+/// [`finite_differences`] for one configuration.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -298,9 +297,8 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Rounding the factors of the layers' products to `bits` bits changes loss and gradients by about these roundings, and
-/// does change them. All hidden units of the networks are on: a unit that switches would change a gradient by far more
-/// than a rounding.
+/// Rounding the factors of the layers' products to `bits` bits changes the loss by less than one rounding, and gradients by 0.1 to 4
+/// roundings. All hidden units of the networks are on: a unit that switches would change a gradient by far more than a rounding.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

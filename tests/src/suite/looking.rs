@@ -1,5 +1,5 @@
-//! What a viewer tells beside pictures: samples of a pixel, and views of a part of the box. In fog of one density both follow
-//! from the lengths of rays in the box.
+//! Views of a model in addition to colours: samples per pixel, and a clipped part of the box. In fog of one density both
+//! follow from the lengths of rays in the box.
 
 use crate::fixtures::{constant, small};
 use glam::DVec3;
@@ -13,7 +13,7 @@ use trimip_core::{
     scene::cones::Division,
 };
 
-/// A model of fog that fills the box, of which no sample is left out.
+/// A model of fog that fills the box. Rendering omits none of its samples.
 fn fog(config: &mut Config, density: f64) -> Model {
     (config.renderer.min_transmittance, config.renderer.min_weight) = (0.0, 0.0);
     let layout = Layout::new(config);
@@ -24,7 +24,7 @@ fn fog(config: &mut Config, density: f64) -> Model {
     Model::new(config.clone(), file)
 }
 
-/// Length within the box of the ray from `origin`.
+/// Length of the part of a ray within the box.
 fn chord(aabb: &Aabb<f64>, origin: [f64; 3], direction: [f64; 3]) -> f64 {
     let (mut near, mut far) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
@@ -76,7 +76,8 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A clipped view shows the cells within the box alone; boxes replace each other, and without one the bits are the old ones.
+/// A clipped view shows only the cells within the box. A new box replaces the last one; without a box, the bits are those of
+/// the unclipped view.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -1,5 +1,5 @@
 //! Every registered term of the loss: given pixels and samples against the terms' equations, the whole training step against
-//! finite differences, and a run that is interrupted. The configurations are the terms' own examples.
+//! finite differences, and an interrupted run. The configurations are the terms' own examples.
 
 use super::{Bench, gradients::of_a_step, training};
 use crate::{
@@ -16,10 +16,10 @@ use trimip_core::{
     field::losses::{self, RaySample},
 };
 
-/// Values and gradients of order 0.1 to 1 of forty samples in f32.
+/// Tolerance for values and gradients of order 0.1 to 1, over forty samples in f32.
 pub const TOLERANCE: f64 = 2e-6;
 
-/// Gradients of pixels of order 1 in f32, and losses relative to their size.
+/// Tolerance for gradients of pixels of order 1 in f32, and for losses relative to their size.
 const PIXEL_TOLERANCE: f64 = 2e-5;
 
 /// Half width of a central difference.
@@ -28,13 +28,13 @@ const STEP: f64 = 1e-5;
 /// Number of pixels: more than one workgroup of a device.
 const PIXELS: usize = 150;
 
-/// Pixels whose samples are differentiated: the sum over all pairs is slow.
+/// Number of pixels whose samples are differentiated: the sum over all pairs of samples is slow.
 const DIFFERENTIATED: usize = 14;
 
 /// Gains of three photographs.
 const GAINS: [[f32; 3]; 3] = [[1.3, 0.7, 1.0], [0.4, 2.5, 1.1], [0.9, 1.6, 0.6]];
 
-/// The example of every registered term, over the configuration `base`.
+/// The examples of all registered terms, applied to the configuration `base`.
 pub fn examples(base: &Config) -> Vec<(&'static str, Config)> {
     let example = |term: &&dyn losses::Definition| {
         let mut config = base.clone();
@@ -65,7 +65,7 @@ pub struct Given {
     pub densities: Vec<f32>,
 }
 
-/// What a backend makes of given pixels and samples.
+/// Results of a backend for given pixels and samples.
 pub struct Found {
     /// The sums.
     pub result: StepResult,
@@ -108,7 +108,7 @@ impl Given {
         self.pixels.push(Pixel { rgb: pixel, opacity, depth: 0.0 });
         let weight = [0.0, 1.0, 4.0, random.between(0.5, 16.0) as f32][random.below(4)];
         let exponent = [0.0, 0.4][random.below(2)];
-        // A third of the pixels have no point.
+        // A third of the pixels have no known depth.
         let deviation = [0.0, 0.05, random.between(1e-3, 0.5) as f32][random.below(3)];
         let distance = random.between(0.0, 3.0) as f32;
         let importance = [1.0, random.between(0.2, 3.0) as f32][random.below(2)];
@@ -140,7 +140,7 @@ impl Given {
         }
     }
 
-    /// The same with pixels of the colour that they should have.
+    /// Replaces pixels and targets by black ones, so that colours have no loss.
     pub fn without_colours(mut self) -> Self {
         self.pixels.fill(Pixel::default());
         self.targets.iter_mut().for_each(|target| {
@@ -149,7 +149,7 @@ impl Given {
         self
     }
 
-    /// Evaluates all terms of a configuration, with gains of the photographs if there are any.
+    /// Evaluates all terms of a configuration, with the photographs' `gains` unless they are empty.
     ///
     /// # Errors
     /// When the backend refuses the configuration.
@@ -163,7 +163,7 @@ impl Given {
         if !gains.is_empty() {
             stages.loss.set_gains(gains);
         }
-        // What an earlier step left must not count again.
+        // The second pass checks that earlier results do not count again.
         for _ in 0..2 {
             partial.sums = B::Sums::default();
             let one = Radiance { rgb: [0.5; 3], density: 1.0 };
@@ -207,7 +207,7 @@ impl Given {
         config.loss.rays == LossRays::All || self.segments[self.groups[pixel].range()].iter().any(any)
     }
 
-    /// The samples of a pixel's cones as terms of rays see them.
+    /// The samples of a pixel's cones, as the ray terms of the loss read them.
     fn cones(&self, config: &Config, pixel: usize) -> Vec<Vec<RaySample<f64>>> {
         let cone = |index: usize| {
             let (ray, own) = (&self.rays[index], self.segments[index].range());
@@ -232,7 +232,7 @@ impl Given {
     }
 }
 
-/// Loss, gradients and derivatives by log-gains of given pixels and samples are those of the terms' equations.
+/// Loss, gradients, and derivatives with respect to log-gains match the terms' equations for given pixels and samples.
 ///
 /// # Errors
 /// When the backend refuses a configuration.
@@ -294,7 +294,7 @@ fn assert_gradients(
     total
 }
 
-/// Compares the gradients of the densities of a pixel's samples; returns the pixel's terms of rays.
+/// Compares the gradients of the densities of a pixel's samples; returns the pixel's ray terms.
 fn assert_densities(given: &Given, config: &Config, found: &Found, pixel: usize, place: &str) -> f64 {
     let (target, group) = (&given.targets[pixel], &given.groups[pixel]);
     let cones = given.cones(config, pixel);
@@ -326,7 +326,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     examples(&small()).iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
 }
 
-/// A run that is interrupted and resumed equals one that is not, with every term. `file` is the path of the checkpoint.
+/// With every term, a run that is interrupted and resumed equals an uninterrupted run. `file` is the path of the checkpoint.
 ///
 /// # Errors
 /// When a step or the file fails.

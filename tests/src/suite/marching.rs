@@ -144,7 +144,7 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                     borderline += 1;
                 }
             }
-            // Further samples lie behind the last reference step: at the very end of the box, if anywhere.
+            // Any further sample lies after the last reference step, at the very end of the box.
             assert!(found.all(|t| (leave - t).abs() < 1e-5), "{ray:?}: samples that no step has");
         }
         assert!(total > 500, "the rays meet {total} occupied steps");

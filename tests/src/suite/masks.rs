@@ -1,5 +1,5 @@
-//! Masked pixels: nothing is learned from what is ignored, whatever colour is stored there, and a pixel weighs as much
-//! as is kept of it.
+//! Masked pixels: training learns nothing from ignored pixels, whatever colour they store, and weights a pixel by the fraction
+//! of it that is kept.
 
 use super::training::{configuration, steps};
 use crate::fixtures::{GivenFrames, TestRandom, noise};
@@ -11,8 +11,8 @@ use trimip_core::{
     run::evaluate::evaluate,
 };
 
-/// Photographs of noise at two scales of which the left half is ignored, with colours drawn from `garbage` there. Some
-/// of the coarse pixels are kept in part.
+/// Photographs of noise at two scales whose left half is ignored and has colours drawn from the seed `garbage`. Some of the
+/// coarse pixels are partly kept.
 pub fn half(garbage: u64) -> ViewSet {
     let (mut set, mut random) =
         (ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) }, TestRandom::new(garbage));
@@ -35,15 +35,14 @@ pub fn half(garbage: u64) -> ViewSet {
     set
 }
 
-/// The same photographs with one share kept of every pixel.
+/// Photographs of noise with `fraction` / 255 of every pixel kept.
 fn uniform(fraction: u8) -> ViewSet {
     let mut views = ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) };
     views.pixels.iter_mut().for_each(|pixel| pixel[3] = fraction);
     views
 }
 
-/// A configuration in which everything that a target has is used: opacity, random backgrounds and the weight of the distortion
-/// too.
+/// A configuration that uses everything in a target: opacity, random backgrounds and the weight of the distortion too.
 pub fn everything() -> Config {
     let mut config = configuration();
     (config.loss.opacity, config.loss.distortion) = (0.1, 0.05);
@@ -72,7 +71,7 @@ pub fn garbage<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Photographs that are ignored as a whole move no parameter, and a share of all pixels changes nothing but their weight.
+/// Wholly ignored photographs move no parameter. Keeping one fraction of all pixels changes only their weight.
 ///
 /// # Errors
 /// When a step fails.
@@ -92,13 +91,13 @@ pub fn fractions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let size = square(&mut by_whole.iter().copied());
     // A device may add gradients in fixed point, whose error does not shrink with the weight.
     assert!(size > 0.0 && apart < 1e-8 * size, "{apart} of {size}");
-    // Kept whole, photographs are those without alpha.
+    // Wholly kept photographs equal those without alpha.
     let opaque = ViewSet { alpha: Alpha::Straight, ..uniform(255) };
     assert!(gradient(opaque)?.1 == by_whole);
     Ok(())
 }
 
-/// Measures are of the pixels of which at least half is kept, and a view without any has none.
+/// Measures cover the pixels of which at least half is kept. A view without such pixels has no measures.
 ///
 /// # Errors
 /// When a picture fails.
@@ -123,12 +122,12 @@ pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let (one, other) = (measured(1)?, measured(2)?);
     assert_eq!(one.iter().map(|view| (view.index, view.scale)).collect::<Vec<_>>(), [(0, 1), (0, 2)]);
     for (one, other) in one.iter().zip(&other) {
-        // Windows of the structural similarity reach over the edge of a mask, where both pictures have the same colours.
+        // SSIM is not compared: its windows extend over the edge of a mask, where both pictures have the photograph's colours.
         let other = Measures { ssim: one.measures.ssim, ..other.measures };
         // Measures that were not taken are NaN, which equals nothing.
         assert_eq!(format!("{other:?}"), format!("{:?}", one.measures));
     }
-    // By hand: the mean over the right half.
+    // The expected PSNR, over the right half.
     let set = frame(1, None);
     let rendered = trainer.render(&set.views[0].camera)?.rgb();
     let squares: Vec<f64> = set

@@ -36,9 +36,9 @@ use trimip_core::{
 pub struct Bench<B: Backend> {
     /// The device.
     pub backend: B,
-    /// Its stages.
+    /// Stages of the configuration.
     pub stages: Stages<B>,
-    /// Its batches.
+    /// Buffers of one batch.
     pub workspace: Workspace<B>,
     /// The parameters on the device.
     pub parameters: B::Buffer<f32>,

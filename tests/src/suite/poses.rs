@@ -1,5 +1,5 @@
-//! Poses of photographs: the derivatives of a tile by the motions of cameras, those of a whole step, and what refined poses change
-//! of a run.
+//! Poses of photographs: the effect of refined poses on a run, and the derivatives of a whole step with respect to camera motions and
+//! intrinsics.
 
 use super::training::{configuration, steps};
 use crate::fixtures::{lively, noise, photographs};
@@ -21,7 +21,7 @@ pub fn refined() -> Config {
     config
 }
 
-/// Refined poses that stay where they are change no bit of a run, poses that move do, and no model holds them.
+/// Refined poses that stay where they are change no bit of a run, poses that move do, and no model file contains poses.
 ///
 /// # Errors
 /// When a step fails.
@@ -71,14 +71,14 @@ pub fn without_a_common_motion<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Steps over whose rays derivatives are averaged, and rays of each.
+/// Number of steps over which derivatives are averaged, and of the rays in each.
 const STEPS: u64 = 8;
 const RAYS: u32 = 512;
 
 /// Error of a derivative, relative to its size. Each ray is moved in one random direction of two, which leaves about 4 %.
 const TOLERANCE: f64 = 0.1;
 
-/// What a model of `config` shows to `PHOTOGRAPHS` cameras.
+/// Photographs that a model of `config` renders for `PHOTOGRAPHS` cameras.
 fn rendered<B: Backend>(backend: B, config: &Config, parameters: &[f32]) -> Result<ViewSet> {
     let mut trainer = Trainer::new(backend, config, noise(PHOTOGRAPHS, 48, 1, 3))?;
     trainer.set_parameters(parameters);
@@ -95,11 +95,12 @@ fn rendered<B: Backend>(backend: B, config: &Config, parameters: &[f32]) -> Resu
     }))
 }
 
-/// A trainer on what its own model shows, in which the derivatives by cameras are whole.
+/// A trainer on renderings of its own model, for which the derivatives with respect to cameras are complete.
 fn on_its_own_pictures<B: Backend>(make: impl Fn() -> B) -> Result<Trainer<B>> {
     let mut config = refined();
-    // The derivatives leave out how colours follow the direction, features the radius, and transmittance the end of a ray. None of
-    // these matters here: there are no directions and no mip levels, and rays are opaque long before their ends. Steps are short.
+    // The derivatives omit the effect of the direction on colours, of the radius on features, and of a ray's end on transmittance.
+    // None of these matters here: there are no directions and no mip levels, and rays are opaque long before their ends. Steps are
+    // short.
     config.scene.contraction = Contraction::Ball;
     config.field.density_shift = -2.0;
     (config.field.directions, config.encoder.mipmap) = (false, false);
@@ -111,8 +112,8 @@ fn on_its_own_pictures<B: Backend>(make: impl Fn() -> B) -> Result<Trainer<B>> {
     Ok(trainer)
 }
 
-/// The derivatives of a step by the motions of its cameras are the slopes of its loss: by rotations of cameras that are off
-/// from where the photographs were taken, by about two pixels.
+/// The derivatives of a step with respect to camera motions are the slopes of its loss. The cameras are rotated by about two pixels
+/// away from the poses of the photographs.
 ///
 /// # Errors
 /// When a step fails.
@@ -137,14 +138,15 @@ pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The same by changes of the focal length and of the principal point of the one camera that took all photographs.
+/// Derivatives with respect to the focal length and the principal point of the one camera that took all photographs are the slopes of
+/// the loss.
 ///
 /// # Errors
 /// When a step fails.
 pub fn by_intrinsics<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut trainer = on_its_own_pictures(make)?;
-    // A focal length moves the rims of pictures alone, so fewer rays tell its derivative. Around the true focal length, the derivative
-    // is off by as much as a change of 0.01 makes; a change of 0.2 outweighs that.
+    // A focal length moves only the rims of pictures, so fewer rays contribute to its derivative. Around the true focal length, the
+    // derivative has the error of a change by 0.01; a change of 0.2 outweighs that.
     let steps = 3 * STEPS;
     for off in [[0.2, 0.0, 0.0, 0.0], [0.0, 0.02, -0.015, 0.0]] {
         let mut at = |factor: f64| -> Result<(f64, f64)> {

@@ -58,14 +58,15 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Cells outside of the visual hull are neither probed nor occupied, and do not count in the mean that is the threshold.
+/// Cells outside of the visual hull are neither probed nor occupied, and do not count in the mean density that is the
+/// threshold.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     const SIDE: usize = 8;
     let mut config = small();
-    // The threshold is the mean.
+    // The mean density is the threshold.
     config.occupancy.threshold = 1e9;
     let parameters = lively(&Layout::new(&config), 3);
     let inside = |cell: usize| cell % SIDE >= SIDE / 2;
@@ -74,8 +75,8 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         (0..SIDE.pow(3) / 8).map(byte).collect::<Vec<u8>>()
     };
     let upper = |cell: usize| cell / SIDE / SIDE >= SIDE / 2;
-    // The density in the lower and in the upper half: above the mean of the hull, 2, but not of the whole grid, 1; and
-    // none anywhere, where the whole hull becomes occupied.
+    // Densities of the lower and the upper half. Only the upper one exceeds the mean of the hull, 2; both exceed the
+    // mean of the whole grid, 1. Without any density, the whole hull becomes occupied.
     for ([below, above], expected) in
         [([1.5, 2.5], bits_of(&|cell| inside(cell) && upper(cell))), ([0.0, 0.0], bits_of(&inside))]
     {
@@ -107,8 +108,8 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Queries of places of the world have the density and colour of the model in f64, wherever the box is, and more of them
-/// than a tile holds come back in order.
+/// Queries of world positions return the density and colour of the model in f64, wherever the box is. More queries than
+/// a tile holds come back in order.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -138,7 +139,7 @@ pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for (i, (query, found)) in queries.iter().zip(&found).enumerate() {
             let radius = f64::from(query.radius);
             let direction = query.direction.map(f64::from);
-            // A query stands for an interval as long as its sphere is wide, one side of the box away from the eye.
+            // A query represents an interval as long as its sphere is wide, one side of the box away from the eye.
             let (t, length) = (space.aabb().longest(), 2.0 * radius);
             let place = SamplePosition { position: space.to_cube(query.point), radius, direction, t, length };
             let expected = exact.features(&place);

@@ -1,5 +1,5 @@
 //! Every registered camera model: rays of its pixels against f64, whole pixels against the literal equations, and the picture of a
-//! homogeneous medium (Beer and Lambert). A new model is tested without a line here.
+//! homogeneous medium (Beer and Lambert). These tests cover a newly registered model without changes.
 
 use super::{Bench, wide};
 use crate::{
@@ -19,13 +19,13 @@ use trimip_core::{
     scene::cones::PixelPattern,
 };
 
-/// Directions, origins and cosines, absolute: a few roundings in f32, sines and cosines of a driver among them.
+/// Absolute tolerance of directions, origins and cosines: a few roundings in f32, among them the sines and cosines of a driver.
 const RAY_TOLERANCE: f64 = 5e-6;
 
-/// Radii, relative. The square root of a sum of products in f32; near an end of an angle's range drivers lose more.
+/// Relative tolerance of radii: the square root of a sum of products in f32; near an end of an angle's range drivers lose more.
 const RADIUS_TOLERANCE: f64 = 1e-4;
 
-/// A whole pixel: feature errors of 1e-5, amplified by the networks' slope of about 10, over some twenty samples.
+/// Tolerance of a whole pixel: feature errors of 1e-5, amplified by the networks' slope of about 10, over some twenty samples.
 const PIXEL_TOLERANCE: f64 = 1e-3;
 
 /// A camera of each model, outside of the box of [`small`] and turned away from every axis.
@@ -56,7 +56,7 @@ fn distance(found: &Ray, camera: &Camera, [x, y, index]: [u32; 3], pattern: Pixe
     (place / RAY_TOLERANCE).max(size / RADIUS_TOLERANCE)
 }
 
-/// The rays of a camera are those of f64, of whole pixels, of pixels divided into cones, and of the quincunx.
+/// The rays of a camera match f64, for whole pixels, pixels divided into cones, and the quincunx.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -86,7 +86,7 @@ pub fn rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Photographs of noise of a camera of each model, at two scales.
+/// Photographs of noise at two scales, taken by one camera of each model.
 pub fn views() -> ViewSet {
     let mut next = 0_u32;
     photographs(&cameras(16, 12), 2, |_, _| {
@@ -95,7 +95,7 @@ pub fn views() -> ViewSet {
     })
 }
 
-/// Every training ray is that of a pixel of a photograph, and every photograph has some.
+/// Every training ray belongs to a pixel of a photograph, and every photograph has training rays.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -124,7 +124,7 @@ pub fn training<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Whole pixels of every model, with every encoder, are those of the literal equations.
+/// Whole pixels of every model, with every encoder, match the literal equations.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -155,8 +155,8 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A medium of one density σ: the opacity of every pixel is 1 − exp(−σ·L), and its depth follows, for the length L of its ray in
-/// the box. Cameras stand before the box and in its middle.
+/// In a medium of one density σ, a pixel whose ray has the length L in the box has the opacity 1 − exp(−σ·L), and its depth
+/// follows from it. Cameras lie in front of the box and in its middle.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

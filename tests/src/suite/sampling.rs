@@ -119,15 +119,15 @@ pub fn known_depths<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             assert_eq!([target.distance, target.deviation], expected, "{target:?} at {progress}");
             supervised += usize::from(own.is_some());
         }
-        // Every third pixel is known.
+        // Every third pixel has a known depth.
         let (low, high) = if progress < 0.5 { (RAYS.len() / 4, RAYS.len() / 2) } else { (0, 0) };
         assert!((low..=high).contains(&supervised), "{supervised} at {progress}");
     }
     Ok(())
 }
 
-/// With an error map, the photographs' pixels are drawn as core draws them, at every scale, with their known depths and whether or not
-/// pixels keep their photographs; errors go to their cells, and the next map draws other pixels.
+/// With an error map, the backend draws the pixels that core draws, at every scale, with their known depths, whether or not pixels
+/// keep their photographs. Errors go to the pixels' cells, and the next map draws other pixels.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -37,7 +37,8 @@ fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip
     let last = layout.network("density").last().map_or(0..0, |slot| slot.range.clone());
     parameters[last].iter_mut().for_each(|weight| *weight *= 4.0);
     let mut bench = Bench::new(backend, &config, None, &parameters)?;
-    // A backend may walk as far at once as the densities of cells let it: empty, thin, opaque after some steps, and at once.
+    // A backend may march over several samples at once, as the cells' densities allow. Cells are empty, thin, opaque after
+    // some steps, or opaque at once.
     let mut random = TestRandom::new(9);
     let density = |_| match random.below(40) {
         0 => 1e3,
@@ -60,8 +61,8 @@ fn samples<B: Backend>(bench: &Bench<B>) -> Vec<Vec<(Interval, Sphere)>> {
     segments.iter().map(|s| pairs[s.start as usize..(s.start + s.count) as usize].to_vec()).collect()
 }
 
-/// Of the marched samples, the `see` stage keeps those that the reference rule keeps at the reference densities, with the
-/// lengths that they stand for, and stores their features and densities.
+/// Of the marched samples, the visibility pass keeps those that the reference rule keeps at the reference densities, with
+/// the lengths that they represent, and stores their features and densities.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -129,7 +130,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The complete output of the `see` stage for colour and compositing, as bytes for bitwise comparison.
+/// The complete output of the visibility pass for colour and compositing, as bytes for bitwise comparison.
 fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, all: bool) -> Vec<Vec<u8>> {
     let Bench { backend, stages, workspace, parameters } = bench;
     if all {
@@ -152,8 +153,8 @@ fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, al
     ]
 }
 
-/// A backend with its own `see` implementation gives the same bits as evaluating every sample. The test is trivial for
-/// a backend without one.
+/// A backend with its own visibility pass gives the same bits as evaluating every sample. The test is trivial for a backend
+/// without one.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -29,8 +29,8 @@ const COMPOSITE_TOLERANCE: f64 = 1e-5;
 /// A whole pixel: feature errors, amplified by the networks' slope of about 10, over some twenty samples.
 const PIXEL_TOLERANCE: f64 = 5e-4;
 
-/// If ln T of a sample is this close to the limit, either pruning decision is correct: this is the densities' own
-/// error.
+/// If ln T of a sample is this close to the limit, either pruning decision is correct. The margin is the error of the
+/// densities.
 const PRUNING_MARGIN: f64 = 1e-3;
 
 fn configurations() -> Vec<Config> {
@@ -241,7 +241,7 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let (count, margin) = kept(&config, &samples, &reference.densities(&samples));
                 pruned += samples.len() - count;
                 let expected = reference.pixel(&ray, &samples[..count]);
-                // A sample at the limit, kept or not, changes the pixel by the transmittance left behind it times its
+                // Keeping or dropping a sample at the limit changes the pixel by the transmittance after it times its
                 // distance.
                 let edge = if margin < PRUNING_MARGIN { 8.0 * f64::from(min_transmittance) } else { 0.0 };
                 assert_pixel(pixel, &expected, PIXEL_TOLERANCE + edge, &format!("pixel {i}"));

@@ -19,7 +19,7 @@ use trimip_core::{
     scene::known_space::{Confinement, KnownSpace},
 };
 
-/// A configuration with short steps: the occupancy warm-up ends at step 8, with a refresh every 4 steps.
+/// A configuration with cheap steps. The occupancy warm-up ends at step 8, with a refresh every 4 steps.
 pub fn configuration() -> Config {
     let mut config = fixtures::small();
     config.renderer.steps_per_diagonal = 64;
@@ -28,7 +28,7 @@ pub fn configuration() -> Config {
     config
 }
 
-/// A configuration whose steps draw pixels by the error map, and half of their samples.
+/// A configuration whose steps draw their pixels by the error map, and only half of their samples.
 pub fn drawn() -> Config {
     let mut config = configuration();
     config.train.backward_fraction = Schedule::new(vec![[0.0, 1.0], [0.1, 0.5]]);
@@ -49,8 +49,8 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
     Ok(())
 }
 
-/// A checkpoint of a run, written and read, and the rest of its steps in a new trainer equal the run: every tensor and counter, bit
-/// for bit. `file` is the path of the checkpoint.
+/// A run that is resumed in a new trainer from a checkpoint, written and read, equals the uninterrupted run bit for bit: every
+/// tensor and counter. `file` is the path of the checkpoint.
 ///
 /// # Errors
 /// When a step or the file fails.
@@ -97,8 +97,8 @@ pub fn scheduled() -> Result<Config> {
     Ok(config)
 }
 
-/// At first only cells near points of known depth are occupied, then those farther from them, then all that photographs do not look
-/// through, then all. Without such points all can be from the start.
+/// At first only cells near points of known depth can be occupied, then cells farther from them, then all cells that photographs do
+/// not look through, then all. Without known depths, all cells can be occupied from the start.
 ///
 /// # Errors
 /// When a step fails.
@@ -108,7 +108,7 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = configuration();
     config.occupancy.resolution = 16;
     (config.occupancy.seeded, config.occupancy.cleared) = (0.3, 0.6);
-    // The cameras stand within the box, at a distance of 4 from its middle, and what surrounds them is free.
+    // The cameras lie within the box, 4 units from its middle, and the space around them is free.
     (config.scene.aabb_min, config.scene.aabb_max) = ([-4.5; 3], [4.5; 3]);
     let mut views = fixtures::noise(9, 16, 2, 2);
     for known in &mut views.depths {
@@ -147,8 +147,8 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Until the end of `field.direction_delay` the weights of the direction and their moments are 0, so that colours do not change with
-/// it. All other weights are trained from the start, and these from then on.
+/// Until the end of `field.direction_delay` the direction weights and their moments are 0, so colours do not depend on the
+/// direction. All other weights are trained from the start, the direction weights from then on.
 ///
 /// # Errors
 /// When a step fails.
@@ -178,9 +178,9 @@ pub fn delayed_directions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A loss that is not finite is an error at most [`Backend::LAG`] steps late. Without lag the parameters and moments are those
-/// before the step. With lag nothing of the state is given away. Either goes on from an earlier checkpoint with the bits of a run
-/// that was never broken.
+/// A non-finite loss is an error, [`Backend::LAG`] steps late. Without lag, the parameters and moments are those before the step.
+/// With lag, the trainer returns none of its state. In both cases it continues from an earlier checkpoint with the bits of an
+/// unbroken run.
 ///
 /// # Errors
 /// When a healthy step fails.
@@ -231,7 +231,7 @@ pub fn spoilt<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Assets of a scene travel with checkpoints and models, whether the renderer knows them or not.
+/// Checkpoints and models keep the assets of a scene, including those that the renderer does not use.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -307,7 +307,7 @@ fn same(found: &Checkpoint, expected: &Checkpoint, run: &str) {
     }
 }
 
-/// The same for one configuration.
+/// [`resume`] for one configuration.
 ///
 /// # Errors
 /// When a step or the file fails.
@@ -316,7 +316,7 @@ pub fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &st
     let mut whole = Trainer::new(make(), config, views())?;
     steps(&mut whole, config, 18)?;
     let expected = whole.checkpoint()?;
-    // A run of which checkpoints are kept: right after the start; before, at and after a refresh and the end of the warm-up.
+    // A run with checkpoints right after the start, and before, at and after a refresh and the end of the warm-up.
     let mut kept = Trainer::new(make(), config, views())?;
     let mut done = 0;
     for stop in [1, 4, 7, 8, 9, 16] {
@@ -445,7 +445,8 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
     Ok(())
 }
 
-/// Photographs with little information: all white, all clear, one view, one pixel, one pixel per scale.
+/// Photographs with little information: all white, all clear, one view, one pixel, one pixel at the coarse scale, nothing of the
+/// box.
 fn poor() -> Vec<(&'static str, ViewSet)> {
     let camera = |size, i: u32| {
         let origin = DVec3::new(4.0 * f64::from(i).cos(), 4.0 * f64::from(i).sin(), 1.0);
@@ -517,7 +518,7 @@ pub fn empty_occupancy<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A step may ask for fewer samples than one pixel's cones have: it trains all the same.
+/// A step trains even if it asks for fewer samples than the cones of one pixel have.
 ///
 /// # Errors
 /// When a step fails.

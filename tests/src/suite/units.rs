@@ -35,8 +35,8 @@ fn seen(times: f64) -> ViewSet {
     views
 }
 
-/// Loss and gradient of a step in worlds of other units against those of the usual one: every loss term, bounded and contracted, and
-/// every encoder whose features are not those of lengths.
+/// Loss and gradient of a step in worlds of other units against those of the usual one: with distortion, opacity and depth terms, in
+/// bounded and contracted space, for every encoder whose features do not depend on lengths.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Imitates colmap: writes its calls down, knows the options of its help alone, and copies a model that is ready.
+# Imitates colmap: logs its calls, accepts only the options of its help, and copies a prepared model.
 PATH=/usr/bin:/bin
 here=$(dirname "$0")/..
 command=$1
@@ -23,7 +23,7 @@ while [ $# -gt 1 ]; do
   shift 2
 done
 if [ -e "$here/hang-$command" ]; then
-  # Half of what it writes.
+  # Writes half of the output.
   if [ -n "$out" ]; then echo half > "$out/half"; else echo half >> "$database"; fi
   echo $$ > "$here/hanging"
   sleep 600

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Imitates ffmpeg: grey frames that are ready, and a picture for each frame that is selected.
+# Imitates ffmpeg: prints prepared grey frames, and writes a picture for each selected frame.
 PATH=/usr/bin:/bin
 here=$(dirname "$0")/..
 case "$*" in

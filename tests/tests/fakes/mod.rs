@@ -11,7 +11,7 @@ use std::{
 };
 use trimip_tests::binary::{Answer, command, run};
 
-/// Photographs of the built-in scene, their side in pixels.
+/// Number of photographs of the built-in scene, and their side in pixels.
 pub const VIEWS: usize = 12;
 pub const SIDE: u32 = 48;
 
@@ -24,7 +24,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// Photographs `walk/0.jpg` to `walk/11.jpg` and no program.
+    /// Creates photographs `walk/00.jpg` to `walk/11.jpg` and no program.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let here = folder.path();
@@ -122,7 +122,7 @@ impl Place {
         fs::write(self.path("fake/pycolmap"), "pycolmap 4.2.1 False True\n").unwrap();
     }
 
-    /// ffmpeg, ffprobe, and a film `film` of 40 frames that moves, of which every fourth is sharp.
+    /// Adds ffmpeg, ffprobe, and a film `film` of 40 moving frames, every fourth of which is sharp.
     pub fn film(&self, film: &str) {
         for (name, text) in [("ffmpeg", include_str!("ffmpeg.sh")), ("ffprobe", include_str!("ffprobe.sh"))] {
             self.program(name, text);
@@ -139,7 +139,7 @@ impl Place {
             for pixel in 0..64 * 64_usize {
                 let (x, y) = ((pixel % 64 + 2 * frame) as f64, (pixel / 64) as f64);
                 let wave = (0.21 * x).sin() + (0.17 * x + 0.33 * y).sin() + (0.37 * y - 0.11 * x).sin();
-                // Detail that blur takes away.
+                // Fine detail, which a blurred frame lacks.
                 let fine = if frame % 4 == 1 && (pixel + pixel / 64) % 2 == 0 { 12 } else { 0 };
                 raw.push((120.0 + 35.0 * wave) as u8 + fine);
             }
@@ -161,12 +161,13 @@ impl Place {
         fs::write(self.path(film), "a film").unwrap();
     }
 
-    /// The model of these photographs, which are called by `name`, as the mapper's number `number`.
+    /// Adds a model of these photographs, named by `name`, as the mapper's model `number`.
     pub fn model(&self, number: u32, views: &[usize], name: impl Fn(usize) -> String) {
         self.model_in(&format!("fake/models/{number}"), views, &[], name);
     }
 
-    /// Models of all photographs by their own names, with some cameras far away: of the mapper, and of the mapper that finds no distortion.
+    /// Adds models of all photographs by their own names, with some cameras far away: one of the mapper, and one of the mapper without
+    /// distortion.
     pub fn lost_models(&self, lost: &[usize], undistorted: &[usize]) {
         let whole: Vec<usize> = (0..VIEWS).collect();
         for (folder, lost) in [("fake/models/0", lost), ("fake/undistorted/models/0", undistorted)] {
@@ -188,7 +189,7 @@ impl Place {
         for (id, &view) in (1..).zip(views) {
             let rows = self.poses[view];
             let row = |row: usize| DVec3::new(rows[row][0], -rows[row][1], -rows[row][2]);
-            // To the world from a camera that looks along +z.
+            // Rotation to the world from a camera that looks along +z.
             let to_world = DMat3::from_cols(row(0), row(1), row(2)).transpose();
             let far = if lost.contains(&view) { 1e9 } else { 1.0 };
             let origin = far * DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
@@ -209,7 +210,7 @@ impl Place {
         sparse.write_binary(&self.path(folder));
     }
 
-    /// The model of all photographs by their own names.
+    /// Adds the model of all photographs by their own names.
     pub fn whole_model(&self) {
         self.model(0, &(0..VIEWS).collect::<Vec<_>>(), |view| format!("{view:02}.jpg"));
     }
@@ -226,7 +227,7 @@ impl Place {
         Answer { code: output.status.code(), out: text(&output.stdout), err: text(&output.stderr) }
     }
 
-    /// Runs to success; what the program told.
+    /// Runs `capture` to success; returns the program's output.
     #[track_caller]
     pub fn captures(&self, arguments: &[&str]) -> String {
         let answer = self.run(&[&["capture"], arguments].concat());
@@ -238,14 +239,14 @@ impl Place {
         answer.out
     }
 
-    /// The calls of programs so far, which are then forgotten.
+    /// Returns the programs' calls so far, and clears them.
     pub fn calls(&self) -> Vec<String> {
         let calls = fs::read_to_string(self.path("fake/calls")).unwrap_or_default();
         let _ = fs::remove_file(self.path("fake/calls"));
         calls.lines().map(String::from).collect()
     }
 
-    /// The second word of each call.
+    /// Returns the second word of each call.
     pub fn commands(&self) -> Vec<String> {
         self.calls().iter().filter_map(|call| call.split(' ').nth(1)).map(String::from).collect()
     }

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Imitates a Python with pycolmap, and runs the stages of the script by name.
+# Imitates a Python with pycolmap, and the stages of the script by name.
 PATH=/usr/bin:/bin
 here=$(dirname "$0")/..
 if [ "$1" = -c ]; then

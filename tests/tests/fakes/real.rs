@@ -1,5 +1,5 @@
-//! The verb `capture` with the real programs, with `TRIMIP_REQUIRE_COLMAP=1`: they take minutes, and COLMAP's threads find other
-//! cameras in every run.
+//! The verb `capture` with the real programs, with `TRIMIP_REQUIRE_COLMAP=1`. They take minutes, and COLMAP's threads make its cameras
+//! differ in every run.
 
 use glam::DVec3;
 use serde_json::Value;
@@ -26,11 +26,11 @@ fn expect_programs(names: &[&str]) {
     assert!(missing.is_empty(), "{missing:?} are required");
 }
 
-/// Frames of the film of the built-in scene, and how many are taken.
+/// Number of frames in the film of the built-in scene, and of frames taken from it.
 const FILMED: u32 = 60;
 const TAKEN: usize = 20;
 
-/// A film of an arc around the built-in scene by the real ffmpeg, and the cameras' places.
+/// Films an arc around the built-in scene with the real ffmpeg; returns the positions of the cameras.
 fn film_of_the_builtin_scene(film: &Path) -> Vec<DVec3> {
     let intrinsics = Intrinsics::from_angle(480, 360, 0.8);
     let picture = |index: u32| {
@@ -64,8 +64,8 @@ fn film_of_the_builtin_scene(film: &Path) -> Vec<DVec3> {
     places
 }
 
-/// Asserts that the cameras of a capture stand where they stood, up to position, rotation and scale of the whole: that distances
-/// between them are those of the film. Returns how many there are.
+/// Asserts that the distances between the cameras of a capture match those of the film up to scale, whatever the position and rotation
+/// of the whole. Returns the number of cameras.
 fn expect_places(capture: &Path, truth: &[DVec3]) -> usize {
     let pictures: Value =
         serde_json::from_slice(&fs::read(capture.join("state/pictures.json")).unwrap()).unwrap();
@@ -91,7 +91,8 @@ fn expect_places(capture: &Path, truth: &[DVec3]) -> usize {
     let (real, own) = pairs().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
     let mut off: Vec<f64> = pairs().map(|(a, b)| (a - b * real / own).abs()).collect();
     off.sort_by(f64::total_cmp);
-    // Cameras are 3 from the scene, and neighbours 0.27 from each other. Of so small a film COLMAP knows the lens within some percent.
+    // Cameras are 3 from the scene, and neighbours 0.27 from each other. From so small a film, COLMAP finds the lens within some
+    // percent.
     let (median, worst) = (off[off.len() / 2], off[off.len() - 1]);
     println!("distances are off by {median:.3} in the median, {worst:.3} at most");
     assert!(median < 0.1 && worst < 0.5, "distances are off by {median} in the median, {worst} at most");

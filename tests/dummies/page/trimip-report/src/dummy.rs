@@ -2,11 +2,11 @@
 
 use super::page;
 
-/// A law and how far it was broken at worst.
+/// A law and its worst error.
 pub struct Law<'a> {
     /// The case in which it was measured.
     pub case: &'a str,
-    /// What it states.
+    /// Statement of the law.
     pub law: &'a str,
     /// The backend that was measured.
     pub backend: &'a str,

@@ -1,5 +1,5 @@
-//! Cameras on a rail: the rays of `dummy.txt` are those of the same cameras in `transforms.json`, and what does not fit is refused
-//! with its place.
+//! Cameras on a rail: the rays of `dummy.txt` match those of the same cameras in `transforms.json`, and the error for an invalid
+//! line names its place.
 
 use crate::common::{assert_same, save_image, settings, write};
 use serde_json::json;

@@ -1,4 +1,4 @@
-//! Coordinates on the CPU. They have no parameters, so nothing flows back.
+//! Coordinates on the CPU. They have no parameters, so no gradient flows back.
 
 use super::{Encoding, GradientMemory, Places};
 use crate::simd::Simd;

@@ -1,4 +1,4 @@
-//! Coordinates on the GPU. They have no parameters, so nothing flows back.
+//! Coordinates on the GPU. They have no parameters, so no gradient flows back.
 
 use super::{Encoding, FeatureGradients, Places, whole};
 use crate::gpu::Access::{Parameters, Read, Write};

@@ -7,7 +7,7 @@ use crate::math::scalar::Real;
 use glam::DVec3;
 use std::f64::consts::PI;
 
-/// Angles and heights.
+/// The camera model of cylindrical panoramas.
 pub struct Dummy;
 
 impl Projection for Dummy {
