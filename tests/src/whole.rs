@@ -80,11 +80,11 @@ pub fn is_sound(folder: &Path) -> Result<(), String> {
     for (name, bytes) in files(folder) {
         let sound = match name.to_string_lossy().as_ref() {
             "checkpoint.safetensors" => {
-                Checkpoint::read(&folder.join(&name)).map(drop).map_err(|error| error.message)
+                Checkpoint::read(&folder.join(&name)).map(drop).map_err(|error| error.message())
             }
             "model.safetensors" => trimip_core::field::model::Model::read(&folder.join(&name))
                 .map(drop)
-                .map_err(|error| error.message),
+                .map_err(|error| error.message()),
             "metrics.jsonl" => {
                 let text = String::from_utf8_lossy(&bytes);
                 let whole = &text[..text.rfind('\n').map_or(0, |end| end + 1)];

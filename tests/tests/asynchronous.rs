@@ -76,7 +76,7 @@ fn an_adapter_that_is_not_there_is_refused_by_both_doors() {
     gpu::reproducibly(|_| {
         let blocking = WgpuBackend::new("no such adapter", true).err().expect("it is refused");
         let other = pollster::block_on(WgpuBackend::new_async("no such adapter", true)).err();
-        assert_eq!(other.expect("it is refused").message, blocking.message);
+        assert_eq!(other.expect("it is refused").message(), blocking.message());
         Ok(())
     });
 }

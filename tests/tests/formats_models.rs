@@ -32,7 +32,7 @@ fn refused(format: &str, bytes: &[u8], parts: &[&str]) {
     };
     let error = read.unwrap_err();
     assert!(
-        error.message.starts_with("f: ") && parts.iter().all(|part| error.message.contains(part)),
+        error.message().starts_with("f: ") && parts.iter().all(|part| error.message().contains(part)),
         "{error}"
     );
 }

@@ -95,7 +95,7 @@ fn a_missing_or_broken_proxy_is_told_with_what_to_do() {
         change(&mut broken);
         broken.config.renderer.kind = RendererKind::Hybrid;
         let error = LoadedModel::new(backend(1), &broken).err().expect("refused");
-        assert!(error.exit_code() == 2 && error.message.contains("bake"), "{error}");
+        assert!(error.kind() == trimip_core::ErrorKind::Input && error.message().contains("bake"), "{error}");
     };
     refused(&|model| model.file.tensors.retain(|key, _| !key.starts_with("asset.")));
     refused(&|model| drop(model.file.tensors.remove(&name("codes"))));

@@ -89,8 +89,8 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
             let applied = all.iter().try_for_each(|set| settings.apply_assignment(set));
             if let Err(error) = applied.and_then(|()| Config::from_settings(&settings).map(drop)) {
                 refused += 1;
-                let message = error.message;
-                assert_eq!(error.kind, trimip_core::ErrorKind::Input, "{message}");
+                let message = error.message();
+                assert_eq!(error.kind(), trimip_core::ErrorKind::Input, "{message}");
                 assert!(message.contains(&path) && message.len() < 1500, "{assignment}: {message}");
                 assert!(!message.contains("untagged"), "{assignment}: {message}");
                 // Errors about numbers do not mention Rust types. Choices may be named after such types.

@@ -83,11 +83,11 @@ fn a_setting_of_a_foreign_backend_is_read_and_ranged() {
         let mut settings = small();
         let read = settings.apply_file("run.toml", &format!("[tpu]\n{text}\n"));
         let error = read.and_then(|()| Config::from_settings(&settings)).unwrap_err();
-        assert!(error.kind == ErrorKind::Input && error.message.contains(expected), "{error}");
+        assert!(error.kind() == ErrorKind::Input && error.message().contains(expected), "{error}");
     }
     // The program of this workspace does not have the backend.
     let mut own = trimip::settings::defaults();
-    assert!(own.apply_assignment("tpu.chips=8").unwrap_err().message.contains("unknown setting"));
+    assert!(own.apply_assignment("tpu.chips=8").unwrap_err().message().contains("unknown setting"));
 }
 
 #[test]
@@ -123,5 +123,5 @@ fn a_run_goes_on_with_another_free_setting_of_a_foreign_backend() {
     assert_eq!((model.config.to_toml(), model.config.section::<TpuConfig>().unwrap().chips), (text, 8));
     train("tpu.chips=16").unwrap();
     let error = train("tpu.rounding=stochastic").unwrap_err();
-    assert!(error.message.contains("tpu.rounding is \"stochastic\", was \"nearest\""), "{error}");
+    assert!(error.message().contains("tpu.rounding is \"stochastic\", was \"nearest\""), "{error}");
 }

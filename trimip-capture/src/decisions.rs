@@ -3,7 +3,7 @@
 use super::{ability::Ability, pictures::Pictures};
 use crate::{Lens, Mapper, Matcher, Request};
 use serde::Serialize;
-use trimip::{Error, Result, formatting::count};
+use trimip::{Advice, Error, Place, Result, formatting::count};
 
 /// Most photographs for exhaustive matching: 19,900 pairs.
 const EXHAUSTIVE: usize = 200;
@@ -99,20 +99,28 @@ pub fn expect(request: &Request, able: &Ability) -> Result<Option<String>> {
     match request.mapper {
         Some(Mapper::Global) if !able.global => {
             let what = format!("{} has no global mapper", able.name);
-            return Err(Error::input("--mapper global", what, "install COLMAP 4 or glomap, or leave it out"));
+            return Err(Error::input(
+                Place::argument("mapper", "global"),
+                what,
+                "install COLMAP 4 or glomap, or leave it out",
+            ));
         }
         Some(Mapper::Incremental) if able.only_global => {
-            let what = "does not fit --poses glomap, which places all cameras at once";
-            return Err(Error::input("--mapper incremental", what, "leave one of the two out"));
+            let what = "does not fit glomap, which places all cameras at once";
+            return Err(Error::input(
+                Place::argument("mapper", "incremental"),
+                what,
+                "leave one of the two out",
+            ));
         }
         _ => {}
     }
     let Some(path) = &request.vocab_tree else {
         return match request.matcher {
             Some(Matcher::Vocabulary) => Err(Error::input(
-                "--matcher vocabulary",
+                Place::argument("matcher", "vocabulary"),
                 "needs a vocabulary tree",
-                "name its file with --vocab-tree",
+                Advice::Argument("name its file with {vocab-tree}".into()),
             )),
             _ => Ok(None),
         };
@@ -121,7 +129,7 @@ pub fn expect(request: &Request, able: &Ability) -> Result<Option<String>> {
         return Err(Error::input(
             path.display(),
             "is no vocabulary tree",
-            "name a file of one, or leave --vocab-tree out",
+            Advice::Argument("name a file of one, or leave {vocab-tree} out".into()),
         ));
     }
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.clone());
@@ -314,15 +322,18 @@ mod tests {
         let vocabulary = Request { matcher: Some(Matcher::Vocabulary), ..Request::default() };
         let nowhere = Request { vocab_tree: Some("nowhere.bin".into()), ..Request::default() };
         for (request, what) in
-            [(global, "no global mapper"), (vocabulary, "--vocab-tree"), (nowhere, "no vocabulary tree")]
+            [(global, "no global mapper"), (vocabulary, "vocab-tree"), (nowhere, "no vocabulary tree")]
         {
             let error = decide(&request, &photographs, &able(false, false)).unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains(what), "{error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(what),
+                "{error}"
+            );
         }
         let glomap = Ability { only_global: true, ..able(true, false) };
         let incremental = Request { mapper: Some(Mapper::Incremental), ..Request::default() };
         let error = decide(&incremental, &photographs, &glomap).unwrap_err();
-        assert!(error.message.contains("--poses glomap"), "{error}");
+        assert!(error.message().contains("glomap"), "{error}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::{
     io,
     path::{Path, PathBuf},
 };
-use trimip::{Error, Result, run::folder::create_writable};
+use trimip::{Advice, Error, Result, run::folder::create_writable};
 use trimip_core::{
     atomic::{sync_folder_of, write_atomically},
     scene::fingerprint,
@@ -105,7 +105,7 @@ impl Folder {
     /// Of kind `Input`: the folder belongs to something else or to another input, another process works on it, or it cannot be written.
     pub fn open(root: &Path, input: &Path) -> Result<Self> {
         let path = root.join("capture.json");
-        let refused = |what: String| Error::input(root.display(), what, "choose another --out folder");
+        let refused = |what: String| Error::input(root.display(), what, Advice::OtherFolder);
         // True if `capture.json` names this input.
         let marked = || {
             let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
@@ -126,7 +126,7 @@ impl Folder {
             return Err(Error::input(
                 root.display(),
                 "another process works on this capture",
-                "wait until it has ended, stop it, or choose another --out folder",
+                Advice::AnyOf(vec!["wait until it has ended, or stop it".into(), Advice::OtherFolder]),
             ));
         }
         // Another process may have created the capture of another input before the lock was taken.
@@ -265,7 +265,7 @@ pub fn unwritable(path: &Path, error: &io::Error) -> Error {
     Error::input(
         path.display(),
         format!("cannot write: {error}"),
-        "free space there or choose another --out folder",
+        Advice::AnyOf(vec!["free space there".into(), Advice::OtherFolder]),
     )
 }
 
@@ -326,7 +326,7 @@ mod tests {
     fn a_folder_belongs_to_one_input_and_one_process() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("walk");
-        let refused = |input: &Path| Folder::open(&root, input).err().map(|error| error.message);
+        let refused = |input: &Path| Folder::open(&root, input).err().map(|error| error.message());
         let [walk, run] = ["a/walk.mp4", "a/run.mp4"].map(|name| folder.path().join(name));
         fs::create_dir(folder.path().join("a")).unwrap();
         fs::write(&walk, "").unwrap();

@@ -41,7 +41,7 @@ use std::{
     sync::atomic::AtomicBool,
     time::Instant,
 };
-use trimip::{Error, Result, formatting::count};
+use trimip::{Advice, Error, Place, Result, formatting::count};
 use trimip_data::unwatched;
 use trimip_report::inspect::UnplacedPicture;
 use unplaced::Unplaced;
@@ -76,12 +76,16 @@ struct Placement {
 pub fn run(request: &Request, stop: &AtomicBool, events: &dyn Fn(&Event<'_>)) -> Result<Captured> {
     let root = request.out.clone().unwrap_or_else(|| default_folder(&request.input));
     if root.to_str().is_none() {
-        return Err(Error::input(root.display(), "the path is not UTF-8", "choose another --out folder"));
+        return Err(Error::input(root.display(), "the path is not UTF-8", Advice::OtherFolder));
     }
     expect_outside(&request.input, &root)?;
     let Found { source, notes } = source::find(&request.input)?;
     if matches!(source, Source::Photographs(_)) && request.frames.is_some() {
-        return Err(Error::input("--frames", "is for films, and these are photographs", "leave it out"));
+        return Err(Error::input(
+            Place::option("frames"),
+            "is for films, and these are photographs",
+            "leave it out",
+        ));
     }
     expect_programs(request, &source, &root)?;
     let input = request.input.canonicalize().unwrap_or_else(|_| request.input.clone());
@@ -112,7 +116,7 @@ fn expect_outside(input: &Path, root: &Path) -> Result<()> {
     Err(Error::input(
         root.display(),
         "lies in the folder that is captured",
-        "name a folder outside with --out, or type the command in another folder",
+        Advice::Argument("name a folder outside with {out}, or type the command in another folder".into()),
     ))
 }
 
@@ -410,7 +414,7 @@ impl Capture<'_> {
         }
         if 2 * placed < all {
             self.teller.note(
-                "warning: less than half of the pictures have a camera: take more with more overlap, or try --matcher exhaustive",
+                "warning: less than half of the pictures have a camera: take more with more overlap, or try the matcher `exhaustive`",
             );
         }
         unplaced

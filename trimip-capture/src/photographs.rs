@@ -158,7 +158,7 @@ impl Converting<'_> {
                     self.working = Some((program, converter));
                     return Ok(());
                 }
-                Err(error) if error.kind == trimip::ErrorKind::Stopped => return Err(error),
+                Err(error) if error.kind() == trimip::ErrorKind::Stopped => return Err(error),
                 Err(error) => failed = failed.or(Some(error)),
             }
         }
@@ -314,6 +314,8 @@ mod tests {
         );
         assert!(root.join("several/6x6/3.png").is_file() && !root.join("several/all").exists());
         assert_eq!(fs::read_dir(&from).unwrap().count(), 5);
-        assert!(make(&["0.png", "1.png", "4.png"], "few").unwrap_err().message.contains("2 pictures alone"));
+        assert!(
+            make(&["0.png", "1.png", "4.png"], "few").unwrap_err().message().contains("2 pictures alone")
+        );
     }
 }

@@ -16,7 +16,7 @@ use std::{
     thread,
     time::Duration,
 };
-use trimip::{Error, Result};
+use trimip::{Advice, Error, Result};
 
 /// Interval at which the stop flag is polled while a program is silent.
 const PATIENCE: Duration = Duration::from_millis(50);
@@ -166,10 +166,8 @@ impl Call<'_> {
     /// The error for a program that ended with a non-zero exit code.
     pub fn failed(&self, ended: &Ended) -> Error {
         let how = match ended.code {
-            137 => {
-                "was killed, perhaps because memory ran out (a smaller --size or fewer --threads need less)"
-                    .into()
-            }
+            137 => "was killed, perhaps because memory ran out (a smaller size or fewer threads need less)"
+                .into(),
             code @ 129..=192 => format!("was ended by signal {}", code - 128),
             code => format!("ended with exit code {code}"),
         };
@@ -181,7 +179,7 @@ impl Call<'_> {
 
     fn open_log(&self) -> Result<BufWriter<File>> {
         let wrong = |error: std::io::Error| {
-            Error::input(self.log.display(), format!("cannot write: {error}"), "choose another --out folder")
+            Error::input(self.log.display(), format!("cannot write: {error}"), Advice::OtherFolder)
         };
         if let Some(folder) = self.log.parent() {
             std::fs::create_dir_all(folder).map_err(wrong)?;
@@ -201,7 +199,7 @@ impl Call<'_> {
 
 /// The error for a capture that the user stopped.
 pub fn stopped() -> Error {
-    Error { kind: trimip::ErrorKind::Stopped, message: "stopped; the same command goes on from here".into() }
+    Error::stopped_with("stopped; the same command continues from here")
 }
 
 /// Quotes a word of a command for a shell.

@@ -4,7 +4,7 @@ use std::{
     env,
     path::{Path, PathBuf},
 };
-use trimip::{Error, Result};
+use trimip::{Advice, Error, Place, Result};
 
 /// File extensions of programs on Windows, in the order of its shell.
 const ENDINGS: [&str; 4] = ["exe", "com", "bat", "cmd"];
@@ -69,9 +69,13 @@ impl Need {
     }
 
     /// The error that says how to install the program. `place` is what needs it.
-    pub fn missing(self, place: impl std::fmt::Display) -> Error {
+    pub fn missing(self, place: impl Into<Place>) -> Error {
         let line = install_line(self, env::consts::OS, &os_release());
-        Error::input(place, format!("{} is on this machine", self.words()), format!("install it: {line}"))
+        Error::input(
+            place,
+            format!("{} is on this machine", self.words()),
+            Advice::Argument(format!("install it: {line}")),
+        )
     }
 }
 
@@ -79,7 +83,7 @@ impl Need {
 ///
 /// # Errors
 /// When it is not on the path.
-pub fn expect(name: &str, need: Need, place: impl std::fmt::Display) -> Result<PathBuf> {
+pub fn expect(name: &str, need: Need, place: impl Into<Place>) -> Result<PathBuf> {
     find(name).ok_or_else(|| need.missing(place))
 }
 
@@ -124,7 +128,7 @@ fn install_line(need: Need, os: &str, release: &str) -> String {
         Need::Poses => format!("{install} {colmap}, or {PIP}"),
         Need::Colmap => package(colmap, "see https://colmap.github.io/install.html"),
         Need::Pycolmap => PIP.into(),
-        Need::Glomap => "see https://github.com/colmap/glomap, or leave --poses out".into(),
+        Need::Glomap => "see https://github.com/colmap/glomap, or leave {poses} out".into(),
     }
 }
 
@@ -152,7 +156,8 @@ mod tests {
         }
         let error = Need::Poses.missing("walk.mp4");
         assert!(
-            error.exit_code() == 2 && error.message.starts_with("walk.mp4: neither colmap nor"),
+            error.kind() == trimip_core::ErrorKind::Input
+                && error.message().starts_with("walk.mp4: neither colmap nor"),
             "{error}"
         );
     }

@@ -199,7 +199,10 @@ mod tests {
             ("gone", "does not exist"),
         ] {
             let error = find(&root.join(name)).err().unwrap();
-            assert!(error.exit_code() == 2 && error.message.contains(what), "{name}: {error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(what),
+                "{name}: {error}"
+            );
         }
     }
 }

@@ -4,11 +4,11 @@ use glam::DVec3;
 use serde_json::Value;
 use std::path::Path;
 use trimip::view::cameras::{aimed, flatten, posed};
-use trimip::{Camera, Error, Intrinsics, Result};
+use trimip::{Camera, Error, Intrinsics, Place, Result};
 use trimip_core::text;
 
 /// Parses three numbers separated by commas.
-pub fn vector(place: &str, text: &str) -> Result<DVec3> {
+pub fn vector(place: impl Into<Place>, text: &str) -> Result<DVec3> {
     match numbers(text).as_deref() {
         Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
         _ => Err(Error::input(place, format!("`{text}` is no position"), "write three numbers as x,y,z")),
@@ -17,7 +17,7 @@ pub fn vector(place: &str, text: &str) -> Result<DVec3> {
 
 /// Parses `eye/target` as a camera.
 pub fn look_at(text: &str, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
-    let place = format!("--look-at {text}");
+    let place = Place::argument("look-at", text);
     let Some((eye, target)) = text.split_once('/') else {
         return Err(Error::input(place, "no '/' found", "write eye/target, such as 4,0,2/0,0,0"));
     };
@@ -31,9 +31,9 @@ pub fn pose(text: &str, intrinsics: Intrinsics) -> Result<Camera> {
     let content;
     let (place, source) = if as_file.is_file() {
         content = text::read(as_file, "name an existing file of cameras")?;
-        (text.to_string(), content.as_str())
+        (Place::from(as_file), content.as_str())
     } else {
-        ("--pose".to_string(), text)
+        (Place::option("pose"), text)
     };
     let matrix =
         serde_json::from_str::<Value>(source).map_or_else(|_| numbers(source), |json| flatten(&json));
@@ -76,7 +76,7 @@ mod tests {
         for text in
             ["", "1,2,3", "a/b", "{}", "2,0,0,3, 0,1,0,4, 0,0,1,5", "-1,0,0,3, 0,1,0,4, 0,0,1,5", "[nan]"]
         {
-            assert_eq!(pose(text, intrinsics()).unwrap_err().exit_code(), 2, "{text}");
+            assert_eq!(pose(text, intrinsics()).unwrap_err().kind(), trimip_core::ErrorKind::Input, "{text}");
         }
     }
 
@@ -84,7 +84,11 @@ mod tests {
     fn a_camera_along_up_is_refused() {
         assert!(look_at("4,0,2/0,0,0", DVec3::Z, intrinsics()).is_ok());
         for text in ["0,0,4/0,0,0", "1,1,1/1,1,1", "1,2/0,0,0", "4,0,2"] {
-            assert_eq!(look_at(text, DVec3::Z, intrinsics()).unwrap_err().exit_code(), 2, "{text}");
+            assert_eq!(
+                look_at(text, DVec3::Z, intrinsics()).unwrap_err().kind(),
+                trimip_core::ErrorKind::Input,
+                "{text}"
+            );
         }
     }
 }

@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use trimip_core::{Error, Result};
 
-pub use trimip_core::STOPPED as EXIT_CODE;
+/// Exit code of a stopped program: 128 + SIGINT, the shell convention.
+pub const EXIT_CODE: u8 = 130;
 
 /// True once the program is asked to stop.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);

@@ -19,6 +19,7 @@ mod ranks;
 mod settings;
 mod terminal;
 mod verbs;
+mod wording;
 
 use clap::{Parser, error::ErrorKind as Mistake};
 use std::process::ExitCode;
@@ -49,13 +50,13 @@ fn main() -> ExitCode {
 fn ended(outcome: Result<u8>) -> ExitCode {
     ExitCode::from(match outcome.and_then(|code| terminal::printed().map(|()| code)) {
         Ok(code) => code,
-        Err(error) if error.kind == ErrorKind::Stopped => {
-            terminal::note(&error);
-            error.exit_code()
+        Err(error) if error.kind() == ErrorKind::Stopped => {
+            terminal::note(wording::text(&error));
+            wording::exit_code(&error)
         }
         Err(error) => {
             terminal::error(&error);
-            error.exit_code()
+            wording::exit_code(&error)
         }
     })
 }

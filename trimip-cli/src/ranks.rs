@@ -51,7 +51,7 @@ mod launched {
         let world = Arc::clone(WORLD.get_or_init(|| Arc::new(World::default())));
         if let Err(error) = world.start() {
             // All ranks have the same error.
-            return if super::speaks() { Err(error) } else { Ok(error.exit_code()) };
+            return if super::speaks() { Err(error) } else { Ok(exit_code(&error)) };
         }
         let rank = world.rank().id;
         let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, work) };
@@ -64,21 +64,12 @@ mod launched {
         outcome
     }
 
-    /// Adds the rank to an error that does not name one.
-    fn of_rank(rank: usize, error: &Error) -> Error {
-        let message = match error.message.starts_with("rank ") {
-            true => error.message.clone(),
-            false => format!("rank {rank}: {}", error.message),
-        };
-        Error { message, ..error.clone() }
-    }
-
     fn lead(world: &World, program: impl FnOnce() -> Result<u8>) -> Result<u8> {
         let outcome = program();
         match &outcome {
             // The other ranks may be in the middle of a step and wait for this rank.
-            Err(error) if error.exit_code() == 3 => {
-                terminal::error(&of_rank(0, error));
+            Err(error) if error.kind() == ErrorKind::Device => {
+                terminal::error(&error.clone().of_rank(0));
                 world.abort(3)
             }
             _ => ranks::dismiss(world)?,
@@ -93,8 +84,8 @@ mod launched {
         // Rank 0 receives the same signal and orders the others to end.
         let outcome = interrupt::install().and_then(|_| ranks::follow(&ranks, &mut work, &mut tell));
         outcome.map(|()| 0).inspect_err(|error| {
-            terminal::error(&of_rank(rank, error));
-            world.abort(error.exit_code())
+            terminal::error(&error.clone().of_rank(rank));
+            world.abort(exit_code(error))
         })
     }
 

@@ -52,7 +52,7 @@ pub fn scene_root(folder: &Path) -> Result<String> {
     };
     if folder.join("checkpoint.safetensors").is_file() || folder.join("model.safetensors").is_file() {
         return Err(Error::input(
-            &place,
+            folder,
             "holds a run, not photographs",
             format!(
                 "type `trimip-cli eval {place}`, `trimip-cli render {place}`, or `trimip-cli --out {place} --continue-for 5m` \
@@ -80,7 +80,7 @@ pub fn scene_root(folder: &Path) -> Result<String> {
         }
         false => "name the folder that holds transforms.json and the photographs".into(),
     };
-    Err(Error::input(&place, "is a file, not the folder of a scene", advice))
+    Err(Error::input(folder, "is a file, not the folder of a scene", advice))
 }
 
 /// Parses a duration such as `90s`, `5m` or `1.5h` to seconds; a bare number is minutes.
@@ -125,13 +125,13 @@ mod tests {
 
     #[test]
     fn durations_are_read_in_seconds_minutes_and_hours() {
-        let read = |text: &str| duration("--continue-for", text).map_err(|error| error.exit_code());
+        let read = |text: &str| duration("--continue-for", text).map_err(|error| error.kind());
         assert_eq!(
             [read("90s"), read("5m"), read("1.5 h"), read("2")],
             [Ok(90.0), Ok(300.0), Ok(5400.0), Ok(120.0)]
         );
         for text in ["", "m", "-5m", "5 weeks", "nan", "infm"] {
-            assert_eq!(read(text), Err(2), "{text}");
+            assert_eq!(read(text), Err(trimip_core::ErrorKind::Input), "{text}");
         }
     }
 
@@ -148,11 +148,11 @@ mod tests {
             std::fs::write(path(name), "").unwrap();
             match (scene_root(&path(name)), answer) {
                 (Ok(root), None) => assert_eq!(Path::new(&root), folder.path()),
-                (Err(error), Some(answer)) => assert!(error.message.contains(answer), "{error}"),
+                (Err(error), Some(answer)) => assert!(error.message().contains(answer), "{error}"),
                 (other, _) => panic!("{name}: {other:?}"),
             }
         }
-        assert!(scene_root(Path::new("rendr")).unwrap_err().message.contains("--help"));
+        assert!(scene_root(Path::new("rendr")).unwrap_err().message().contains("--help"));
         assert_eq!(default_folder(None, Some(folder.path()), None).file_name(), folder.path().file_name());
         let archive = folder.path().join("capture.1.zip");
         std::fs::write(&archive, "").unwrap();
@@ -163,7 +163,10 @@ mod tests {
         assert_eq!((named(None, Some("ngp")), named(None, None)), ("runs/ngp".into(), "runs/default".into()));
         std::fs::write(path("model.safetensors"), "").unwrap();
         let error = scene_root(folder.path()).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("--continue-for"), "{error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains("--continue-for"),
+            "{error}"
+        );
     }
 
     #[test]

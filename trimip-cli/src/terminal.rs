@@ -69,7 +69,7 @@ pub fn aside(text: impl std::fmt::Display) {
 
 /// Prints the one line that says why the program failed.
 pub fn error(error: &Error) {
-    let _ = writeln!(std::io::stderr().lock(), "error: {error}");
+    let _ = writeln!(std::io::stderr().lock(), "error: {}", crate::wording::text(error));
 }
 
 /// True if standard output and standard error are terminals. The program then shows a bar and tables, otherwise one JSON object per line.

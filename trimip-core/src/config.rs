@@ -243,7 +243,7 @@ mod tests {
         settings.apply_assignment("eval.min_psnr=20").unwrap();
         assert!(Config::from_settings(&settings).is_ok());
         settings.apply_assignment("eval.final=false").unwrap();
-        assert!(Config::from_settings(&settings).unwrap_err().message.contains("eval.min_psnr"));
+        assert!(Config::from_settings(&settings).unwrap_err().message().contains("eval.min_psnr"));
     }
 
     #[test]
@@ -263,11 +263,11 @@ mod tests {
             let mut config = Config::default();
             change(&mut config);
             let built = config.validate().unwrap_err();
-            assert_eq!((built.exit_code(), read.exit_code()), (2, 2));
+            assert_eq!((built.kind(), read.kind()), (crate::ErrorKind::Input, crate::ErrorKind::Input));
             // Both errors name the setting and its value; only the place where it was set differs.
-            let told = |error: &Error| error.message.split_once(": ").map(|(_, told)| told.to_string());
+            let told = |error: &Error| error.message().split_once(": ").map(|(_, told)| told.to_string());
             assert_eq!(told(&built), told(&read));
-            assert!(built.message.starts_with("configuration: "), "{built}");
+            assert!(built.message().starts_with("configuration: "), "{built}");
         }
     }
 
@@ -290,8 +290,8 @@ mod tests {
             let mut settings = Settings::defaults();
             let given = settings.apply_assignment(assignment);
             let error = given.and_then(|()| Config::from_settings(&settings)).unwrap_err();
-            assert_eq!(error.exit_code(), 2);
-            assert!(error.message.contains(expected), "{assignment}: {error}");
+            assert_eq!(error.kind(), crate::ErrorKind::Input);
+            assert!(error.message().contains(expected), "{assignment}: {error}");
         }
     }
 
@@ -307,7 +307,10 @@ mod tests {
             settings.apply_assignment(assignment).unwrap();
             let error = Config::from_settings(&settings).unwrap_err();
             let (path, _) = assignment.split_once('=').unwrap();
-            assert!(error.message.starts_with(&format!("--set: {path} = ")), "{assignment}: {error}");
+            assert!(
+                error.message().starts_with(&format!("command line: {path} = ")),
+                "{assignment}: {error}"
+            );
         }
     }
 
@@ -328,7 +331,7 @@ mod tests {
             let mut config = Config::default();
             change(&mut config);
             let error = config.validate().unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains("2^63"), "{error}");
+            assert!(error.kind() == crate::ErrorKind::Input && error.message().contains("2^63"), "{error}");
         }
     }
 
@@ -337,11 +340,11 @@ mod tests {
         let text = Config::default().to_toml().replace("\"tri-mip\"", "\"k-planes\"");
         for text in [text.clone(), format!("{text}\n[k_planes]\nsize = 3\n")] {
             let error = Config::from_toml("old.safetensors", &text).unwrap_err();
-            assert_eq!(error.exit_code(), 2);
+            assert_eq!(error.kind(), crate::ErrorKind::Input);
             for part in
                 ["old.safetensors", "`k-planes`", "`tri-mip`", "`hash-grid`", "use a build that has it"]
             {
-                assert!(error.message.contains(part), "{part}: {error}");
+                assert!(error.message().contains(part), "{part}: {error}");
             }
         }
     }
@@ -368,7 +371,7 @@ mod tests {
             let mut settings = Settings::defaults();
             assignments.iter().for_each(|assignment| settings.apply_assignment(assignment).unwrap());
             let error = Config::from_settings(&settings).unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains(expected), "{error}");
+            assert!(error.kind() == crate::ErrorKind::Input && error.message().contains(expected), "{error}");
         }
     }
 
@@ -420,11 +423,11 @@ mod tests {
         let refused = |assignment: &str| {
             let mut settings = lit();
             let applied = settings.apply_assignment(assignment);
-            applied.and_then(|()| Config::from_settings(&settings)).unwrap_err().message
+            applied.and_then(|()| Config::from_settings(&settings)).unwrap_err().message()
         };
         assert!(
             refused("lamp.watts=101")
-                .starts_with("--set: lamp.watts = 101.0: out of range; expected 0 to 100")
+                .starts_with("command line: lamp.watts = 101.0: out of range; expected 0 to 100")
         );
         assert!(
             refused("lamp.tint=3").contains("a string")
@@ -432,7 +435,10 @@ mod tests {
         );
         let text = format!("{}\n[lamp]\nwatts = 101\n", Config::default().to_toml());
         let error = Config::from_toml("model", &text).unwrap().section::<Lamp>().unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("lamp.watts = 101"), "{error}");
+        assert!(
+            error.kind() == crate::ErrorKind::Input && error.message().contains("lamp.watts = 101"),
+            "{error}"
+        );
         // Other crates cannot add settings to a section of core, and a nested table is not a setting.
         for text in ["[train]\nlamps = 3\n", "[lamp]\nwatts = { a = 3 }\n", "lamps = 3\n"] {
             assert!(Config::from_toml("model", text).is_err(), "{text}");

@@ -41,7 +41,7 @@ pub use engine::{
     backend::{Backend, Encoder, Field, Optimizer, Renderer},
     session::{Session, StepReport, Viewer},
 };
-pub use error::{Error, ErrorKind, Result, STOPPED};
+pub use error::{Advice, Error, ErrorKind, Place, Result};
 pub use field::{params::Layout, slot::Slot};
 pub use geometry::{
     aabb::Aabb,

@@ -70,6 +70,9 @@ mod tests {
         }
         std::fs::write(&path, b"s\xff").unwrap();
         let error = read(&path, "").unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("a.txt: is not UTF-8"), "{error}");
+        assert!(
+            error.kind() == crate::ErrorKind::Input && error.message().contains("a.txt: is not UTF-8"),
+            "{error}"
+        );
     }
 }

@@ -179,17 +179,17 @@ mod tests {
         let whole = message();
         for length in 0..whole.len() {
             let error = read(&whole[..length]).unwrap_err();
-            assert_eq!(error.kind, ErrorKind::Device, "{length}: {error}");
+            assert_eq!(error.kind(), ErrorKind::Device, "{length}: {error}");
             assert!(
-                error.message.contains("expected") && error.message.contains(&format!("of {length}")),
+                error.message().contains("expected") && error.message().contains(&format!("of {length}")),
                 "{error}"
             );
         }
         let longer = [&whole[..], &[0]].concat();
         let error = read(&longer).unwrap_err();
-        assert_eq!(error.kind, ErrorKind::Device);
+        assert_eq!(error.kind(), ErrorKind::Device);
         assert!(
-            error.message.contains(&format!("the end at byte {} of {}", whole.len(), longer.len())),
+            error.message().contains(&format!("the end at byte {} of {}", whole.len(), longer.len())),
             "{error}"
         );
     }

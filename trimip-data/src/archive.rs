@@ -59,7 +59,7 @@ pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> 
     };
     let file = file.map_err(wrong)?;
     let length = file.metadata().map_err(wrong)?.len();
-    let zip = Zip::of_file(&archive.display(), file.try_clone().map_err(wrong)?, &Limits::USUAL)?;
+    let zip = Zip::of_file(&archive.into(), file.try_clone().map_err(wrong)?, &Limits::USUAL)?;
     let folder = archive.with_extension("");
     let name = archive.file_name().unwrap_or_default().to_string_lossy();
     let mark =

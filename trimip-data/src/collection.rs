@@ -78,7 +78,10 @@ mod tests {
         assert_eq!(collection.found, ["lego", "ship"].map(|name| folder.path().join(name)));
         assert_eq!(collection.missing, ["chair", "drums", "ficus", "hotdog", "materials", "mic"]);
         for bad in ["other", "absent"] {
-            assert_eq!(Collection::open(&folder.path().join(bad)).unwrap_err().exit_code(), 2);
+            assert_eq!(
+                Collection::open(&folder.path().join(bad)).unwrap_err().kind(),
+                trimip_core::ErrorKind::Input
+            );
         }
     }
 }

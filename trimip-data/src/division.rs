@@ -7,7 +7,7 @@ use crate::{
 };
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Error, Result, plural::count};
+use trimip_core::{Error, Place, Result, plural::count};
 
 /// Every n-th frame of a file without splits is a test frame, as in mip-NeRF 360 and Instant-NGP.
 pub(crate) const HOLD_OUT: usize = 8;
@@ -81,7 +81,7 @@ pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &st
         for value in file.array(key)? {
             let named = value.as_str().ok_or_else(|| file.unexpected(key, "an array of texts", value))?;
             let wrong = |what: String| {
-                let place = format!("{}: \"{key}\": {named}", path.display());
+                let place = Place::part(path, format_args!("\"{key}\": {named}"));
                 Error::input(place, what, "correct the list or export it again")
             };
             let frame = match index.find(named) {

@@ -66,7 +66,7 @@ pub fn mask(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
 /// An archive that is broken or unsafe.
 pub fn archive(name: &str, bytes: &[u8]) -> Result<Vec<(String, u64)>> {
     let limits = Limits { bytes: 64 << 20, ratio: 0, ..Limits::USUAL };
-    let zip = Zip::open(&name, bytes, bytes.len() as u64, &limits)?;
+    let zip = Zip::open(&name.into(), bytes, bytes.len() as u64, &limits)?;
     let read = |file: &crate::zip::File| {
         let mut length = 0;
         zip.read(file, |part| {

@@ -2,8 +2,8 @@
 
 use crate::files;
 use serde_json::{Map, Value};
-use std::{fmt::Display, path::Path};
-use trimip_core::{Error, Result, text::decoded};
+use std::path::Path;
+use trimip_core::{Error, Place, Result, text::decoded};
 
 /// Reads and parses a file.
 pub(crate) fn read(path: &Path) -> Result<Value> {
@@ -16,7 +16,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
     let bytes = &*decoded(bytes);
     serde_json::from_slice(bytes).map_err(|error| {
         let (line, column) = (error.line(), error.column());
-        let place = format!("{}:{line}:{column}", path.display());
+        let place = Place::Text { file: path.into(), line, column: Some(column) };
         match not_a_number(bytes, line, column) {
             Some(word) => Error::input(
                 place,
@@ -46,13 +46,13 @@ fn not_a_number(bytes: &[u8], line: usize, column: usize) -> Option<String> {
 
 /// A JSON object, and its place for errors.
 pub(crate) struct Node<'a> {
-    pub(crate) place: String,
+    pub(crate) place: Place,
     object: &'a Map<String, Value>,
 }
 
 impl<'a> Node<'a> {
-    pub(crate) fn new(place: impl Display, value: &'a Value) -> Result<Self> {
-        let place = place.to_string();
+    pub(crate) fn new(place: impl Into<Place>, value: &'a Value) -> Result<Self> {
+        let place = place.into();
         match value {
             Value::Object(object) => Ok(Self { place, object }),
             other => Err(Error::input(
@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn syntax_errors_name_line_and_column() {
         let error = parse(Path::new("a.json"), b"{\n \"frames\": [1,, 2]\n}").unwrap_err();
-        assert!(error.message.starts_with("a.json:2:15: invalid JSON: expected value;"), "{error}");
+        assert!(error.message().starts_with("a.json:2:15: invalid JSON: expected value;"), "{error}");
     }
 
     #[test]
@@ -154,7 +154,7 @@ mod tests {
             ("[1, 1e999]", "1e999"),
         ] {
             let error = parse(Path::new("a.json"), text.as_bytes()).unwrap_err();
-            assert!(error.message.contains(&format!(": {word} is not a finite number")), "{text}: {error}");
+            assert!(error.message().contains(&format!(": {word} is not a finite number")), "{text}: {error}");
         }
     }
 

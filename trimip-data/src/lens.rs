@@ -2,7 +2,7 @@
 
 use crate::json::Node;
 use serde_json::Value;
-use trimip_core::{Error, Lens, Result, geometry::projections::Model};
+use trimip_core::{Error, Lens, Place, Result, geometry::projections::Model};
 
 /// Coefficients in the files.
 const TERMS: [&str; 10] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1"];
@@ -11,7 +11,7 @@ const TERMS: [&str; 10] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1"
 ///
 /// # Errors
 /// When the model is unknown, or has no such coefficients.
-pub fn lens_of(place: &str, file: &Value, frame: &Value) -> Result<Lens> {
+pub fn lens_of(place: &Place, file: &Value, frame: &Value) -> Result<Lens> {
     read(&Node::new(place, file)?, &Node::new(place, frame)?)
 }
 
@@ -41,7 +41,7 @@ pub fn lens_terms(lens: &Lens) -> Option<(&'static str, Vec<(&'static str, f64)>
 ///
 /// # Errors
 /// As [`lens_of`].
-pub(crate) fn of_column(place: &str, file: &Node<'_>, index: usize) -> Result<Lens> {
+pub(crate) fn of_column(place: &Place, file: &Node<'_>, index: usize) -> Result<Lens> {
     let mut frame = serde_json::Map::new();
     for key in TERMS.into_iter().chain(["camera_model"]).filter(|key| file.get(key).is_some()) {
         if let Some(value) = file.array(key)?.get(index) {
@@ -178,7 +178,7 @@ mod tests {
                 frame["camera_model"] = json!(model);
                 terms.into_iter().for_each(|(key, term)| frame[key] = json!(term));
             }
-            let found = lens_of("frame 0", &json!({}), &frame).unwrap();
+            let found = lens_of(&"frame 0".into(), &json!({}), &frame).unwrap();
             assert!(found == own || (found.is_straight() && own.is_straight()), "{frame}");
         }
     }
@@ -187,7 +187,10 @@ mod tests {
     fn what_a_model_does_not_have_is_refused() {
         let refused = |file: Value, names: &str| {
             let error = lens(file, json!({})).unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains(names), "{error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(names),
+                "{error}"
+            );
         };
         refused(json!({ "camera_model": "PINHOLE", "k1": 0.1 }), "k1 = 0.1");
         refused(json!({ "camera_model": "OPENCV_FISHEYE", "p1": 0.1 }), "p1 = 0.1");

@@ -18,7 +18,7 @@ use std::{
     cell::Cell,
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result};
 
 /// A frame of a file.
 #[derive(Clone, Debug)]
@@ -26,7 +26,7 @@ pub(crate) struct Frame {
     /// The path that the file states for its photograph.
     pub(crate) named: String,
     /// The entry, for messages.
-    pub(crate) place: String,
+    pub(crate) place: Place,
     /// Camera-to-world rotation in OpenGL axes.
     pub(crate) rotation: DMat3,
     /// Centre of projection, world units.

@@ -237,9 +237,12 @@ mod tests {
         ];
         for (bytes, expected) in cases {
             let error = rows::<3>("a.npy", &bytes, "again").unwrap_err();
-            assert_eq!(error.exit_code(), 2);
-            assert!(error.message.starts_with("a.npy: ") && error.message.ends_with("; again"), "{error}");
-            assert!(error.message.contains(expected), "{expected}: {error}");
+            assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
+            assert!(
+                error.message().starts_with("a.npy: ") && error.message().ends_with("; again"),
+                "{error}"
+            );
+            assert!(error.message().contains(expected), "{expected}: {error}");
         }
     }
 }

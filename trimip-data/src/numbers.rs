@@ -1,7 +1,7 @@
 //! Files of numbers separated by blanks, such as matrices and trajectories.
 
 use std::path::Path;
-use trimip_core::{Error, Result, text};
+use trimip_core::{Error, Place, Result, text};
 
 /// The lines of numbers of a file, without empty lines. `advice` says what to do if it cannot be read.
 ///
@@ -21,7 +21,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8], advice: &str) -> Result<Vec<Vec<f
 
 fn of_text(path: &Path, text: &str, advice: &str) -> Result<Vec<Vec<f64>>> {
     let line = |(index, line): (usize, &str)| {
-        let place = || format!("{}:{}", path.display(), index + 1);
+        let place = || Place::line(path, index + 1);
         line.split_ascii_whitespace()
             .map(|word| number(word).map_err(|what| Error::input(place(), what, advice)))
             .collect::<Result<Vec<f64>>>()

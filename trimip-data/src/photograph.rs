@@ -13,7 +13,7 @@ use std::{
     io::{BufRead, BufReader, Cursor, Seek},
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Result, memory::available_memory};
+use trimip_core::{Error, Place, Result, memory::available_memory};
 
 /// Largest number of pixels of an image (1 GiB of RGBA): more than any photograph, and addressable everywhere.
 const MAX_PIXELS: u64 = 1 << 28;
@@ -33,7 +33,7 @@ const BESIDE: u64 = 16 << 20;
 pub(crate) struct Photograph {
     pub(crate) path: PathBuf,
     /// The entry that names the image, for errors: `file: frame 17 (./train/r_17)`.
-    pub(crate) place: String,
+    pub(crate) place: Place,
     /// Size after `turn` is applied.
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -48,7 +48,7 @@ pub(crate) struct Photograph {
 
 impl Photograph {
     /// Reads the header of `path`. Its pixels are used as stored, unless [`fit`](Self::fit) turns them.
-    pub(crate) fn open(path: PathBuf, place: String) -> Result<Self> {
+    pub(crate) fn open(path: PathBuf, place: Place) -> Result<Self> {
         match File::open(&path) {
             Ok(file) => Self::header(path, place, BufReader::new(file)),
             Err(error) => Err(undecodable(&place, &path, &error)),
@@ -56,7 +56,7 @@ impl Photograph {
     }
 
     /// Reads the header of the image `source`, which `path` names.
-    fn header(path: PathBuf, place: String, source: impl BufRead + Seek) -> Result<Self> {
+    fn header(path: PathBuf, place: Place, source: impl BufRead + Seek) -> Result<Self> {
         let reader = reader(source).map_err(|error| undecodable(&place, &path, &error))?;
         let format = reader.format();
         if format == Some(ImageFormat::Tiff) && foreign::is_raw(&path) {
@@ -159,7 +159,7 @@ impl Photograph {
 
 /// The image in the bytes of a file that `path` names.
 pub(crate) fn of_bytes(path: &Path, bytes: &[u8]) -> Result<DynamicImage> {
-    Photograph::header(path.into(), path.display().to_string(), Cursor::new(bytes))?.decoded(bytes)
+    Photograph::header(path.into(), path.into(), Cursor::new(bytes))?.decoded(bytes)
 }
 
 /// True for a truncated JPEG. Segments are skipped by their length; within coded data a byte
@@ -187,7 +187,7 @@ fn reader<S: BufRead + Seek>(mut source: S) -> image::ImageResult<ImageReader<S>
     Ok(ImageReader::new(source).with_guessed_format()?)
 }
 
-fn undecodable(place: &str, path: &Path, error: &dyn Display) -> Error {
+fn undecodable(place: &Place, path: &Path, error: &dyn Display) -> Error {
     if let Some(format) = foreign::of_file(path) {
         let what = format!("image {} is {}, which is not read", path.display(), format.name);
         return Error::input(place, what, format.remedy(path));
@@ -274,7 +274,7 @@ mod tests {
             for length in (0..end).step_by(7) {
                 fs::write(&path, &whole[..length]).unwrap();
                 let result = Photograph::open(path.clone(), "here".into()).and_then(|image| image.decode());
-                let message = result.expect_err(&format!("{name} of {length} bytes")).message;
+                let message = result.expect_err(&format!("{name} of {length} bytes")).message();
                 assert!(message.starts_with("here: image ") && !message.contains('\n'), "{message}");
             }
         }

@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
     sync::OnceLock,
 };
-use trimip_core::{Error, Result, plural::count};
+use trimip_core::{Error, Place, Result, plural::count};
 
 /// Most levels below the scene's folder that are searched for photographs, and most files.
 const MOST_DEPTH: usize = 5;
@@ -74,7 +74,7 @@ impl Pictures {
     ///
     /// # Errors
     /// Of kind `Input`, at `place`: no such photograph, several of them, or one in a format that is not read.
-    pub(crate) fn find(&self, named: &str, place: &str) -> Result<Location> {
+    pub(crate) fn find(&self, named: &str, place: &Place) -> Result<Location> {
         let turned = named.replace('\\', "/");
         let written = if turned == named { vec![named] } else { vec![named, &turned] };
         let candidates: Vec<PathBuf> = written
@@ -201,7 +201,7 @@ fn list(root: &Path) -> List {
 }
 
 /// The error for a photograph that is not found.
-fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
+fn missing(named: &str, candidates: &[PathBuf], place: &Place) -> Error {
     if let Some((path, format)) = candidates.iter().find_map(|path| foreign::beside(path)) {
         let what = format!(
             "image {} does not exist; {} beside it is {}, which is not read",
@@ -224,16 +224,16 @@ fn missing(named: &str, candidates: &[PathBuf], place: &str) -> Error {
 /// messages. A photograph that is not where its entry says must not be that of another entry.
 fn resolved<'a>(
     pictures: &Pictures,
-    entries: impl Iterator<Item = (&'a str, String)>,
+    entries: impl Iterator<Item = (&'a str, Place)>,
 ) -> Vec<(&'a str, Result<Location>)> {
-    let entries: Vec<(&str, String)> = entries.collect();
+    let entries: Vec<(&str, Place)> = entries.collect();
     let found: Vec<Result<Location>> =
         entries.iter().map(|(named, place)| pictures.find(named, place)).collect();
     let mut uses: HashMap<PathBuf, usize> = HashMap::new();
     for location in found.iter().flatten() {
         *uses.entry(location.path.clone()).or_default() += 1;
     }
-    let alone = |((named, place), found): ((&'a str, String), Result<Location>)| {
+    let alone = |((named, place), found): ((&'a str, Place), Result<Location>)| {
         let found = found.and_then(|location| {
             match location.moved && uses.get(&location.path).is_some_and(|&uses| uses > 1) {
                 false => Ok(location),
@@ -271,7 +271,7 @@ fn moved(file: &Path, resolved: &[(&str, Result<Location>)]) -> Option<String> {
 pub(crate) fn of_entries<'a>(
     pictures: &Pictures,
     file: &Path,
-    entries: impl Iterator<Item = (&'a str, String)>,
+    entries: impl Iterator<Item = (&'a str, Place)>,
 ) -> Result<(Vec<PathBuf>, Option<String>)> {
     let resolved = resolved(pictures, entries);
     let warning = moved(file, &resolved);
@@ -281,10 +281,7 @@ pub(crate) fn of_entries<'a>(
         resolved.into_iter().map(|(_, found)| found.map(|location| location.path)).collect();
     let with_others = |error: Error| match others {
         0 => error,
-        more => {
-            let more = format!("{more} more of {} are missing", count(all, "photograph"));
-            Error { message: format!("{} ({more})", error.message), ..error }
-        }
+        more => error.with_note(format_args!("{more} more of {} are missing", count(all, "photograph"))),
     };
     Ok((found.map_err(with_others)?, warning))
 }
@@ -297,7 +294,7 @@ pub(crate) fn of_entries<'a>(
 pub(crate) fn of_most_entries<'a>(
     pictures: &Pictures,
     file: &Path,
-    entries: impl Iterator<Item = (&'a str, String)>,
+    entries: impl Iterator<Item = (&'a str, Place)>,
 ) -> Result<(Vec<Option<PathBuf>>, Vec<String>)> {
     let resolved = resolved(pictures, entries);
     let mut warnings: Vec<String> = moved(file, &resolved).into_iter().collect();
@@ -338,7 +335,8 @@ mod tests {
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, b"").unwrap();
         }
-        let found = Pictures::new(folder.path()).find(named, "entry").map_err(|error| error.to_string())?;
+        let found =
+            Pictures::new(folder.path()).find(named, &"entry".into()).map_err(|error| error.to_string())?;
         let path = found.path.strip_prefix(folder.path()).unwrap().display().to_string();
         assert_eq!(found.moved, !files.contains(&named.trim_start_matches("./")), "{named}");
         Ok(path)
@@ -397,11 +395,7 @@ mod tests {
         fs::write(folder.path().join("images/a.png"), b"").unwrap();
         let pictures = Pictures::new(folder.path());
         let of = |named: &[&'static str]| {
-            of_entries(
-                &pictures,
-                Path::new("a.json"),
-                named.iter().map(|named| (*named, (*named).to_string())),
-            )
+            of_entries(&pictures, Path::new("a.json"), named.iter().map(|named| (*named, (*named).into())))
         };
         let (paths, warning) = of(&["/x/images/a.png"]).unwrap();
         assert_eq!(paths, [folder.path().join("images/a.png")]);
@@ -411,9 +405,9 @@ mod tests {
                 .starts_with("a.json: 1 of 1 photograph lie elsewhere than it says: /x/images/a.png is ")
         );
         let error = of(&["left/a.png", "right/a.png"]).unwrap_err();
-        assert!(error.message.contains("is that of another entry"), "{error}");
+        assert!(error.message().contains("is that of another entry"), "{error}");
         let error = of(&["images/b.png", "images/a.png", "images/c.png"]).unwrap_err();
-        assert!(error.message.contains("images/b.png does not exist"), "{error}");
-        assert!(error.message.ends_with("(1 more of 3 photographs are missing)"), "{error}");
+        assert!(error.message().contains("images/b.png does not exist"), "{error}");
+        assert!(error.message().ends_with("(1 more of 3 photographs are missing)"), "{error}");
     }
 }

@@ -367,7 +367,10 @@ mod tests {
             assert_eq!(points("p.ply", &bytes).unwrap(), found, "{order}");
             for length in 0..bytes.len() {
                 let error = points("p.ply", &bytes[..length]).unwrap_err();
-                assert!(error.exit_code() == 2 && error.message.starts_with("p.ply"), "{length}: {error}");
+                assert!(
+                    error.kind() == trimip_core::ErrorKind::Input && error.message().starts_with("p.ply"),
+                    "{length}: {error}"
+                );
             }
         }
     }
@@ -400,7 +403,7 @@ mod tests {
             ),
         ] {
             let error = read(&text).unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains(parts), "{parts}: {error}");
+            assert!(error.kind() == trimip_core::ErrorKind::Input && error.message().contains(parts), "{parts}: {error}");
         }
         // Rows without properties have no bytes: nothing counts them one by one.
         let endless = "ply\nformat ascii 1.0\nelement nothing 18446744073709551615\nelement vertex 1\nproperty float x\n\

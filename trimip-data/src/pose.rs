@@ -3,7 +3,7 @@
 use crate::json::Node;
 use glam::{DMat3, DVec3};
 use serde_json::Value;
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Place, Result};
 
 /// Largest |R·Rᵀ − I| that counts as a rotation written with few digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -16,7 +16,7 @@ pub(crate) fn read(node: &Node<'_>, key: &str) -> Result<(DMat3, DVec3)> {
 }
 
 /// Rotation and camera centre from the rows of a matrix called `key` at `place`.
-pub(crate) fn parse(place: &str, key: &str, value: &Value) -> Result<(DMat3, DVec3)> {
+pub(crate) fn parse(place: &Place, key: &str, value: &Value) -> Result<(DMat3, DVec3)> {
     let wrong = |what: String| {
         Error::input(place, format!("\"{key}\" {what}"), "export the pose again or remove the entry")
     };
@@ -101,7 +101,7 @@ mod tests {
     use serde_json::json;
 
     fn error(value: Value) -> String {
-        parse("f.json: frame 3 (r_3)", "transform_matrix", &value).unwrap_err().message
+        parse(&"f.json: frame 3 (r_3)".into(), "transform_matrix", &value).unwrap_err().message()
     }
 
     #[test]
@@ -109,8 +109,8 @@ mod tests {
         let three = json!([[0.0, 0.0, 1.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0, 1, 0, 7]]);
         let mut four = three.clone();
         four.as_array_mut().unwrap().push(json!([0, 0, 0, 1]));
-        let (rotation, origin) = parse("", "", &three).unwrap();
-        assert_eq!((rotation, origin), parse("", "", &four).unwrap());
+        let (rotation, origin) = parse(&"".into(), "", &three).unwrap();
+        assert_eq!((rotation, origin), parse(&"".into(), "", &four).unwrap());
         assert_eq!(origin, DVec3::new(5.0, 6.0, 7.0));
         // Columns are the camera's axes.
         assert_eq!(rotation.x_axis, DVec3::Y);
@@ -140,7 +140,7 @@ mod tests {
     fn axes_of_one_length_are_a_rotation() {
         for scale in [1e-4, 0.25, 2.0, 1e6] {
             let rows = json!([[0, 0, scale, 5], [scale, 0, 0, 6], [0, scale, 0, 7]]);
-            let (rotation, origin) = parse("", "", &rows).unwrap();
+            let (rotation, origin) = parse(&"".into(), "", &rows).unwrap();
             assert!(deviation(rotation) < 1e-14 && (rotation.x_axis - DVec3::Y).length() < 1e-14);
             assert_eq!(origin, DVec3::new(5.0, 6.0, 7.0));
             assert!(
@@ -156,10 +156,10 @@ mod tests {
     #[test]
     fn small_deviations_are_corrected_and_tiny_ones_kept() {
         let (rotation, _) =
-            parse("", "", &json!([[1.0004, 0, 0, 0], [0, 0.9999, 1e-4, 0], [0, 0, 1, 0]])).unwrap();
+            parse(&"".into(), "", &json!([[1.0004, 0, 0, 0], [0, 0.9999, 1e-4, 0], [0, 0, 1, 0]])).unwrap();
         assert!(deviation(rotation) < 1e-14);
         let (rotation, _) =
-            parse("", "", &json!([[1.0000001, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])).unwrap();
+            parse(&"".into(), "", &json!([[1.0000001, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])).unwrap();
         assert_eq!(rotation.x_axis.x, 1.000_000_1);
     }
 }

@@ -149,9 +149,9 @@ mod tests {
             let mut settings = Settings::of(Definitions::new(&[crate::SECTION], &[]).into());
             settings.apply_assignment(assignment).unwrap();
             let error = Config::from_settings(&settings).unwrap_err();
-            assert_eq!(error.exit_code(), 2);
-            assert!(error.message.starts_with("--set: data."), "{error}");
-            assert!(error.message.contains(expected), "{assignment}: {error}");
+            assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
+            assert!(error.message().starts_with("command line: data."), "{error}");
+            assert!(error.message().contains(expected), "{assignment}: {error}");
         }
     }
 

@@ -11,7 +11,7 @@ use crate::{
     watch::{Meter, unwatched},
 };
 use rayon::prelude::*;
-use trimip_core::{Alpha, Camera, Error, Frames, Result, Scale, View, ViewSet};
+use trimip_core::{Alpha, Camera, Error, Frames, Place, Result, Scale, View, ViewSet};
 
 /// Memory of the photographs that are decoded at once, bytes, unless a single one takes more.
 const MOST_AT_ONCE: u64 = 2 << 30;
@@ -55,7 +55,7 @@ impl Source {
         name: String,
         camera: Camera,
         scales: u32,
-        place: &str,
+        place: &Place,
         pixels: Pixels,
     ) -> Result<Self> {
         let side = camera.intrinsics.width.min(camera.intrinsics.height);

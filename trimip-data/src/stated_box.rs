@@ -98,7 +98,7 @@ mod tests {
             json!({ "aabb_scale": "4" }),
             json!({ "aabb_scale": 1e200, "scale": 1e-200 }),
         ] {
-            assert_eq!(of(broken).unwrap_err().exit_code(), 2);
+            assert_eq!(of(broken).unwrap_err().kind(), trimip_core::ErrorKind::Input);
         }
     }
 

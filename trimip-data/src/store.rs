@@ -117,7 +117,7 @@ mod tests {
             assert_eq!((memory.bytes_in_memory(), disk.bytes_in_memory()), (4 * count, 0));
         }
         let failing = filled(true, 5, |_| Err(Error::input("a", "b", "c"))).unwrap_err();
-        assert_eq!(failing.exit_code(), 2);
+        assert_eq!(failing.kind(), trimip_core::ErrorKind::Input);
     }
 
     #[test]

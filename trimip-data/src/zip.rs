@@ -12,7 +12,7 @@ use std::{
     io::{ErrorKind, Read},
     path::Path,
 };
-use trimip_core::{Error, Result, plural::count, scene::fingerprint};
+use trimip_core::{Error, Place, Result, plural::count, scene::fingerprint};
 
 /// Ends of the names of zip archives, in lower case. Record3D names its own `.r3d`.
 const ENDINGS: [&str; 2] = ["zip", "r3d"];
@@ -77,7 +77,7 @@ impl File {
 
 impl Zip<FileReader> {
     /// Reads the directory of an archive on disk.
-    pub(crate) fn of_file(name: &dyn Display, file: std::fs::File, limits: &Limits) -> Result<Self> {
+    pub(crate) fn of_file(name: &Place, file: std::fs::File, limits: &Limits) -> Result<Self> {
         let length = file.metadata().map_err(|error| unreadable(name, &error))?.len();
         Self::open(name, file.into(), length, limits)
     }
@@ -85,7 +85,7 @@ impl Zip<FileReader> {
 
 impl<R: ReaderAt> Zip<R> {
     /// Reads the directory of an archive of `length` bytes.
-    pub(crate) fn open(name: &dyn Display, reader: R, length: u64, limits: &Limits) -> Result<Self> {
+    pub(crate) fn open(name: &Place, reader: R, length: u64, limits: &Limits) -> Result<Self> {
         let mut buffer = vec![0; rawzip::MAX_CENTRAL_DIRECTORY_RECORD_SIZE];
         let archive = ZipLocator::new().locate_in_reader(reader, &mut buffer, length);
         let archive = archive.map_err(|(_, error)| match error.kind() {
@@ -154,7 +154,7 @@ impl<R: ReaderAt> Zip<R> {
     /// # Errors
     /// If size or checksum differ from those that the archive states, before any surplus bytes are passed, and errors of `take`.
     pub(crate) fn read(&self, file: &File, mut take: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
-        let place = format!("{}: {}", self.name, file.path);
+        let place = Place::part(self.name.to_string(), &file.path);
         let entry = self.archive.get_entry(file.place).map_err(|error| damaged(&place, &error))?;
         let packed: Box<dyn Read + '_> = match file.is_stored {
             true => Box::new(entry.reader()),
@@ -185,12 +185,12 @@ fn hash(entry: &ZipFileHeaderRecord<'_>) -> u64 {
 }
 
 /// The file of an entry; `None` for a folder, a hidden file and a file of macOS.
-fn file(name: &dyn Display, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Result<Option<File>> {
+fn file(name: &Place, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Result<Option<File>> {
     let raw = entry.file_path();
     if raw.as_ref().is_empty() {
         return Err(Error::input(name, "has an entry without a name", UNPACK));
     }
-    let place = format!("{name}: {}", String::from_utf8_lossy(raw.as_ref()));
+    let place = Place::part(name.to_string(), String::from_utf8_lossy(raw.as_ref()));
     let refused = |what: &str, advice: &str| Err(Error::input(&place, what, advice));
     let Ok(text) = std::str::from_utf8(raw.as_ref()) else {
         return refused(
@@ -240,16 +240,16 @@ fn has_drive(part: &str) -> bool {
     bytes.len() > 1 && bytes[0].is_ascii_alphabetic() && bytes[1] == b':'
 }
 
-fn unreadable(place: &dyn Display, error: &dyn Display) -> Error {
+fn unreadable(place: &Place, error: &dyn Display) -> Error {
     Error::input(place, format!("cannot be read: {error}"), "check the path and its permissions")
 }
 
-fn damaged(place: &dyn Display, error: &dyn Display) -> Error {
+fn damaged(place: &Place, error: &dyn Display) -> Error {
     Error::input(place, format!("is damaged: {error}"), AGAIN)
 }
 
 /// The error for a file whose bytes differ from what the archive states.
-fn unequal(place: &dyn Display, error: &std::io::Error) -> Error {
+fn unequal(place: &Place, error: &std::io::Error) -> Error {
     let inner = error.get_ref().and_then(|inner| inner.downcast_ref::<rawzip::Error>());
     match inner.map(rawzip::Error::kind) {
         Some(rawzip::ErrorKind::InvalidSize { expected, actual }) if actual > expected => Error::input(
@@ -278,7 +278,7 @@ mod tests {
     };
 
     fn opened<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Zip<&'a [u8]>> {
-        Zip::open(&"a.zip", bytes, bytes.len() as u64, limits)
+        Zip::open(&"a.zip".into(), bytes, bytes.len() as u64, limits)
     }
 
     #[test]
@@ -296,7 +296,7 @@ mod tests {
             (Limits { depth: 2, ..limits }, "a.zip: a/b/c.txt: lies in more than 1 folders; "),
         ] {
             let error = opened(&bytes, &limits).err().unwrap();
-            assert!(error.message.starts_with(what), "{what}: {error}");
+            assert!(error.message().starts_with(what), "{what}: {error}");
         }
     }
 

@@ -45,10 +45,10 @@ fn assert_same_scene(a: &Scene, b: &Scene) {
 fn refused(path: &Path) -> String {
     let before = names(path.parent().unwrap());
     let error = open(&settings(path, 1)).unwrap_err();
-    assert!(error.exit_code() == 2 && !error.message.contains('\n'), "{error}");
-    assert!(error.message.contains("; "), "nothing to do: {error}");
+    assert!(error.kind() == trimip_core::ErrorKind::Input && !error.message().contains('\n'), "{error}");
+    assert!(error.message().contains("; "), "nothing to do: {error}");
     assert_eq!(names(path.parent().unwrap()), before, "{error}");
-    error.message
+    error.message()
 }
 
 #[test]
@@ -145,7 +145,7 @@ fn a_file_of_record3d_is_read_as_it_is() {
     config.format = "polycam".into();
     fs::remove_dir_all(here.join("walk")).unwrap();
     let error = open(&config).unwrap_err();
-    assert!(error.message.contains("holds no scene: looked for keyframes/cameras"), "{error}");
+    assert!(error.message().contains("holds no scene: looked for keyframes/cameras"), "{error}");
     assert_eq!(names(here), ["files", "walk.r3d"]);
 }
 

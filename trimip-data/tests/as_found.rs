@@ -34,7 +34,7 @@ fn scene_of(
     let folder = tempfile::tempdir().unwrap();
     (0..10).for_each(|i| save_image(&folder.path().join(stored(i)), size[0], size[1]));
     transforms(folder.path(), &(0..10).map(named).collect::<Vec<_>>());
-    open(&settings(folder.path(), 1)).map_err(|error| error.message)
+    open(&settings(folder.path(), 1)).map_err(|error| error.message())
 }
 
 fn warned(scene: &Scene, what: &str) {
@@ -81,7 +81,7 @@ fn missing_photographs_are_counted() {
     let folder = tempfile::tempdir().unwrap();
     transforms(folder.path(), &(0..10).map(|i| format!("images/{i}.png")).collect::<Vec<_>>());
     (0..6).for_each(|i| save_image(&folder.path().join(format!("images/{i}.png")), 16, 12));
-    let message = open(&settings(folder.path(), 1)).unwrap_err().message;
+    let message = open(&settings(folder.path(), 1)).unwrap_err().message();
     assert!(message.contains("images/6.png does not exist"), "{message}");
     assert!(message.ends_with("(2 more of 8 photographs are missing)"), "{message}");
 }
@@ -96,7 +96,7 @@ fn test_frames_that_were_never_rendered_are_held_out_of_training() {
     warned(&scene, "has no photographs of a split \"test\": every 8th training frame is held out");
     // With only some of them, it is an error: the others may be missing by accident.
     save_image(&folder.path().join("test/r_0.png"), 16, 12);
-    assert!(open(&settings(folder.path(), 1)).unwrap_err().message.contains("test/r_1 does not exist"));
+    assert!(open(&settings(folder.path(), 1)).unwrap_err().message().contains("test/r_1 does not exist"));
     // The validation frames are tested on instead.
     fs::remove_file(folder.path().join("transforms_test.json")).unwrap();
     fs::copy(folder.path().join("transforms_train.json"), folder.path().join("transforms_val.json")).unwrap();
@@ -220,7 +220,7 @@ fn photographs_deleted_after_the_model_was_made_are_left_out() {
     fs::remove_dir_all(root.path().join("images/left")).unwrap();
     fs::remove_dir_all(root.path().join("images/right side")).unwrap();
     save_image(&root.path().join("images").join(&sparse.images[0].4), 60, 40);
-    let message = open(&settings(root.path(), 1)).unwrap_err().message;
+    let message = open(&settings(root.path(), 1)).unwrap_err().message();
     assert!(message.contains("8 of 9 photographs are missing, the first is"), "{message}");
 }
 

@@ -21,9 +21,9 @@ fn error_after(scales: u32, breaking: impl Fn(&Path)) -> String {
 /// The error of a folder, its own path written as `ROOT`.
 fn error_of(root: &Path, scales: u32) -> String {
     let error = open(&settings(root, scales)).expect_err("this input is broken");
-    assert_eq!(error.kind, ErrorKind::Input, "{error}");
-    assert!(!error.message.contains('\n'), "{error}");
-    error.message.replace(root.to_str().unwrap(), "ROOT")
+    assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+    assert!(!error.message().contains('\n'), "{error}");
+    error.message().replace(root.to_str().unwrap(), "ROOT")
 }
 
 /// Edits the training file.
@@ -136,7 +136,7 @@ fn folders_without_a_scene_say_what_was_looked_for() {
         error_of(folder.path(), 1)
             .contains("looked for metadata.json, transforms_train.json, transforms.json")
     );
-    let message = open(&settings(Path::new(""), 1)).unwrap_err().message;
+    let message = open(&settings(Path::new(""), 1)).unwrap_err().message();
     assert_eq!(
         message,
         "data.root: is empty; set it to the folder of a scene, or data.format to \"builtin\""
@@ -144,7 +144,7 @@ fn folders_without_a_scene_say_what_was_looked_for() {
     blender_scene(folder.path());
     let mut data = settings(folder.path(), 1);
     data.train = vec!["train".into(), "val".into()];
-    assert!(open(&data).unwrap_err().message.contains("has no split \"val\", only test, train"));
+    assert!(open(&data).unwrap_err().message().contains("has no split \"val\", only test, train"));
     assert!(error_of(&folder.path().join(TRAIN), 1).contains("is not a folder"));
     write(
         &folder.path().join("transforms.json"),
@@ -171,7 +171,7 @@ fn settings_out_of_range_are_errors() {
     for change in changes {
         let mut data = data.clone();
         change(&mut data);
-        assert_eq!(open(&data).unwrap_err().exit_code(), 2);
+        assert_eq!(open(&data).unwrap_err().kind(), ErrorKind::Input);
     }
 }
 
@@ -227,7 +227,7 @@ fn with_replaced_value(document: &Value, nth: usize, with: &Value) -> Value {
 
 fn opens_or_tells(root: &Path) {
     if let Err(error) = inspect(&settings(root, 2), &trimip_data::unwatched) {
-        assert!(!error.message.is_empty() && !error.message.contains('\n'), "{error}");
+        assert!(!error.message().is_empty() && !error.message().contains('\n'), "{error}");
     }
 }
 

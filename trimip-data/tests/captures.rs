@@ -385,7 +385,7 @@ fn models_and_photographs_are_found_where_programs_put_them() {
     // The error for the folder above names it.
     let above = tempfile::tempdir().unwrap();
     fs::rename(root.path(), above.path().join("garden")).unwrap();
-    let message = open(&settings(above.path(), 1)).unwrap_err().message;
+    let message = open(&settings(above.path(), 1)).unwrap_err().message();
     assert!(message.contains("garden, which holds one"), "{message}");
 }
 
@@ -435,7 +435,7 @@ fn photographs_in_another_size_have_scaled_cameras() {
     let seventh = open(&config).unwrap().train.views[0].camera.intrinsics;
     assert!((seventh.fx / whole.train.views[0].camera.intrinsics.fx - 0.15).abs() < 1e-12);
     config.images = "cut".into();
-    let message = open(&config).unwrap_err().message;
+    let message = open(&config).unwrap_err().message();
     assert!(message.contains("is 15x8 pixels, but the file states 60x40"), "{message}");
     fs::rename(root.path().join("images_4"), root.path().join("images_5")).unwrap();
     fs::remove_dir_all(root.path().join("images")).unwrap();
@@ -486,17 +486,17 @@ fn a_list_of_names_divides_any_scene() {
         ("0001.png", "names more than one frame: 0001.png"),
         ("# none", "leaves no test frame"),
     ] {
-        let message = open(&listed(root.path(), list)).unwrap_err().message;
+        let message = open(&listed(root.path(), list)).unwrap_err().message();
         assert!(message.contains("test.txt: ") && message.contains(what), "{message}");
     }
     let mut config = listed(root.path(), list);
     config.holdout = 3;
-    assert!(open(&config).unwrap_err().message.contains("data.holdout = 3"));
+    assert!(open(&config).unwrap_err().message().contains("data.holdout = 3"));
     config = listed(root.path(), list);
     config.test_list = "absent.txt".into();
-    assert!(open(&config).unwrap_err().message.contains("absent.txt: cannot be read"));
+    assert!(open(&config).unwrap_err().message().contains("absent.txt: cannot be read"));
     config.format = "builtin".into();
-    assert!(open(&config).unwrap_err().message.contains("cannot divide the frames of a built-in scene"));
+    assert!(open(&config).unwrap_err().message().contains("cannot divide the frames of a built-in scene"));
 }
 
 #[test]
@@ -547,7 +547,7 @@ fn lists_of_a_transforms_file_are_its_splits() {
             "\"applied_transform\" is not a",
         ),
     ] {
-        let message = with(lists).unwrap_err().message;
+        let message = with(lists).unwrap_err().message();
         assert!(message.contains("transforms.json: ") && message.contains(what), "{message}");
     }
 }
@@ -588,8 +588,8 @@ fn each_broken_model_is_told_apart() {
                 sparse.write_text(&folder)
             }
             let error = open(&settings(root.path(), 1)).unwrap_err();
-            assert_eq!(error.exit_code(), 2);
-            let message = error.message;
+            assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
+            let message = error.message();
             let named = message.contains(file) && message.contains(what);
             // Text files name models, binary files number them.
             assert!(named, "binary {binary}: {what}:\n{message}");
@@ -604,11 +604,11 @@ fn each_broken_model_is_told_apart() {
         let path = folder.join(format!("{name}.bin"));
         for length in (0..whole.len()).step_by(whole.len() / 60 + 1) {
             fs::write(&path, &whole[..length]).unwrap();
-            let message = open(&settings(root.path(), 1)).unwrap_err().message;
+            let message = open(&settings(root.path(), 1)).unwrap_err().message();
             assert!(message.contains(&format!("{name}.bin: byte ")), "{length} {message}");
         }
         fs::write(&path, [&whole[..], &[0]].concat()).unwrap();
-        let message = open(&settings(root.path(), 1)).unwrap_err().message;
+        let message = open(&settings(root.path(), 1)).unwrap_err().message();
         assert!(message.contains("1 bytes follow the last entry"), "{message}");
         fs::write(&path, whole).unwrap();
     }

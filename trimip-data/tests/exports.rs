@@ -101,7 +101,10 @@ fn reconstructions_of_opensfm_are_read() {
         change(&mut document);
         write(&path, &document);
         let error = open(&settings(root, 1)).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains(what), "{what}: {error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains(what),
+            "{what}: {error}"
+        );
     }
 }
 
@@ -127,7 +130,11 @@ fn models_of_bundler_are_read() {
     text += "0.5 0.25 -1\n9 99 199\n2 0 3 1.5 -2.5 1 4 2 -3\n1 2 3\n0 0 255\n0\n";
     fs::write(root.join("bundle.out"), &text).unwrap();
     let error = open(&settings(root, 1)).unwrap_err();
-    assert!(error.exit_code() == 2 && error.message.contains("has no list of photographs"), "{error}");
+    assert!(
+        error.kind() == trimip_core::ErrorKind::Input
+            && error.message().contains("has no list of photographs"),
+        "{error}"
+    );
     let list: String = (0..10).map(|index| format!("./{} 0 51.5\n", name(index))).collect();
     fs::write(root.join("list.txt"), &list).unwrap();
     let scene = open(&settings(root, 1)).unwrap();
@@ -146,12 +153,15 @@ fn models_of_bundler_are_read() {
     ] {
         fs::write(root.join("bundle.out"), broken).unwrap();
         let error = open(&settings(root, 1)).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains(what), "{what}: {error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains(what),
+            "{what}: {error}"
+        );
     }
     fs::write(root.join("bundle.out"), &text).unwrap();
     fs::write(root.join("list.txt"), "images/0.png\n").unwrap();
     assert!(
-        open(&settings(root, 1)).unwrap_err().message.contains("camera 1: has no photograph in the list")
+        open(&settings(root, 1)).unwrap_err().message().contains("camera 1: has no photograph in the list")
     );
 }
 
@@ -170,7 +180,11 @@ fn raw_exports_of_polycam_are_read() {
         document.as_object_mut().unwrap().remove("t_21");
         write(&path, &document);
         let error = open(&settings(folder.path(), 1)).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("3.json: has no \"t_21\""), "{error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input
+                && error.message().contains("3.json: has no \"t_21\""),
+            "{error}"
+        );
     }
 }
 
@@ -220,13 +234,16 @@ fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
         assert_eq!((k.fx, k.fy, k.cx, k.cy), (fx, fx, 30.0, 20.0), "{text}");
     }
     fs::write(root.join("bbox.txt"), "-1 -2 -3 1 -2 3\n").unwrap();
-    assert!(open(&settings(root, 1)).unwrap_err().message.contains("bbox.txt: states the corners"));
+    assert!(open(&settings(root, 1)).unwrap_err().message().contains("bbox.txt: states the corners"));
     fs::write(root.join("bbox.txt"), "-1 -2 wide\n").unwrap();
     assert!(
-        open(&settings(root, 1)).unwrap_err().message.contains("bbox.txt:1: \"wide\" is not a finite number")
+        open(&settings(root, 1))
+            .unwrap_err()
+            .message()
+            .contains("bbox.txt:1: \"wide\" is not a finite number")
     );
     fs::write(root.join("intrinsics.txt"), "0\n").unwrap();
-    assert!(open(&settings(root, 1)).unwrap_err().message.contains("states neither a matrix nor"));
+    assert!(open(&settings(root, 1)).unwrap_err().message().contains("states neither a matrix nor"));
 }
 
 /// The file of Metashape's export; the photograph 9 was not placed.
@@ -302,6 +319,9 @@ fn camera_exports_of_metashape_are_read() {
     ] {
         fs::write(&path, broken).unwrap();
         let error = open(&settings(root, 1)).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains(what), "{what}: {error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains(what),
+            "{what}: {error}"
+        );
     }
 }

@@ -161,16 +161,20 @@ fn a_sector_of_the_cameras_is_held_out_where_the_files_state_no_test_frames() {
     (file["train_filenames"], file["test_filenames"]) = (json!(names[..12]), json!(names[12..]));
     write(&path, &file);
     let error = open(&config).unwrap_err();
-    assert!(error.exit_code() == 2 && error.message.contains("data.holdout_by: is \"sector\""), "{error}");
     assert!(
-        error.message.contains("its split \"test\"") && error.message.contains("set data.holdout"),
+        error.kind() == trimip_core::ErrorKind::Input
+            && error.message().contains("data.holdout_by: is \"sector\""),
+        "{error}"
+    );
+    assert!(
+        error.message().contains("its split \"test\"") && error.message().contains("set data.holdout"),
         "{error}"
     );
     config.holdout = 4;
     let scene = open(&config).unwrap();
     assert_eq!((scene.train.views.len(), scene.test.len()), (9, 3), "of the training frames");
     config = DataConfig { holdout: 0, test_list: "test.txt".into(), ..config };
-    let message = open(&config).unwrap_err().message;
+    let message = open(&config).unwrap_err().message();
     assert!(message.contains("data.test_list") && message.contains("data.holdout_by"), "{message}");
     // A folder without test frames is treated like a file without splits.
     fs::remove_file(&path).unwrap();
@@ -233,7 +237,7 @@ fn a_written_multiscale_set_reads_back_the_same() {
         assert!(
             write_multiscale(&config, written.path(), &unwatched)
                 .unwrap_err()
-                .message
+                .message()
                 .contains("exists already")
         );
         // Fewer scales of the set equal fewer scales of the source.
@@ -363,7 +367,7 @@ fn a_multiscale_set_cannot_be_premultiplied_after_the_fact() {
     write_multiscale(&settings(folder.path(), 2), set.path(), &unwatched).unwrap();
     let mut config = settings(set.path(), 2);
     config.convention = Convention::Premultiplied;
-    assert!(open(&config).unwrap_err().message.starts_with("data.convention: "));
+    assert!(open(&config).unwrap_err().message().starts_with("data.convention: "));
     config.convention = Convention::Public;
     config.scales = 4;
     assert!(

@@ -185,8 +185,8 @@ fn what_does_not_fit_is_refused_with_its_place() {
         capture(folder.path(), "images", 1);
         breaking(folder.path());
         let error = open(&settings(folder.path(), 1)).expect_err(what);
-        let message = error.message.replace(folder.path().to_str().unwrap(), "ROOT");
-        assert_eq!(error.exit_code(), 2, "{message}");
+        let message = error.message().replace(folder.path().to_str().unwrap(), "ROOT");
+        assert_eq!(error.kind(), trimip_core::ErrorKind::Input, "{message}");
         assert!(message.starts_with(place) && message.contains(what) && message.contains("; "), "{message}");
     }
 }

@@ -94,8 +94,8 @@ fn formats_that_are_not_read_are_named_with_what_converts_them() {
         blender_scene(folder.path());
         breaking(folder.path());
         let error = open(&settings(folder.path(), 1)).unwrap_err();
-        assert!(error.exit_code() == 2 && !error.message.contains('\n'), "{error}");
-        error.message
+        assert!(error.kind() == trimip_core::ErrorKind::Input && !error.message().contains('\n'), "{error}");
+        error.message()
     };
     let heic = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic";
     let inside = error(&|root| fs::write(root.join("train/r_1.png"), heic).unwrap());

@@ -13,8 +13,8 @@ use trimip_data::open;
 /// The message of a folder that is refused.
 fn refused(root: &Path) -> String {
     let error = open(&settings(root, 1)).unwrap_err();
-    assert!(error.exit_code() == 2 && !error.message.contains('\n'), "{error}");
-    error.message
+    assert!(error.kind() == trimip_core::ErrorKind::Input && !error.message().contains('\n'), "{error}");
+    error.message()
 }
 
 /// The file of Record3D: `K` column by column.

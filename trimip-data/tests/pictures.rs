@@ -82,7 +82,7 @@ fn scene(root: &Path, named: &str, stored: &str) -> Result<Scene, String> {
     (0..10).for_each(|i| save_image(&root.join(format!("images/{i}{stored}")), 16, 12));
     let frames: Vec<Value> = (0..10).map(|i| frame(&format!("images/{i}{named}"))).collect();
     write(&root.join("transforms.json"), &json!({ "camera_angle_x": 0.7, "frames": frames }));
-    open(&settings(root, 2)).map_err(|error| error.message)
+    open(&settings(root, 2)).map_err(|error| error.message())
 }
 
 #[test]
@@ -115,8 +115,11 @@ fn broken_photographs_are_named() {
             fs::write(&path, &whole[..length]).unwrap();
             let error = open(&settings(root, 1)).unwrap_err();
             let place = format!("frame 3 (images/3{named}): image ");
-            assert!(error.exit_code() == 2 && error.message.contains(&place), "{format:?} {length}: {error}");
-            assert!(error.message.contains("cannot be decoded"), "{format:?} {length}: {error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(&place),
+                "{format:?} {length}: {error}"
+            );
+            assert!(error.message().contains("cannot be decoded"), "{format:?} {length}: {error}");
         }
     }
 }
@@ -128,7 +131,7 @@ fn webp_files_hold_the_parts_that_they_state() {
     let put = |at: usize, with: &[u8]| {
         let mut bytes = whole.clone();
         bytes[at..at + with.len()].copy_from_slice(with);
-        photograph("a file", &bytes).unwrap_err().message
+        photograph("a file", &bytes).unwrap_err().message()
     };
     // The widths of the file and of the picture, and the lengths of the last chunk and of its first partition.
     let picture = whole.windows(4).position(|name| name == b"VP8 ").unwrap();
@@ -148,7 +151,7 @@ fn webp_pictures_hold_no_others() {
         bytes.extend((16 + 24 * level).to_le_bytes());
         bytes.extend([0; 16]);
     }
-    let message = photograph("a file", &bytes).unwrap_err().message;
+    let message = photograph("a file", &bytes).unwrap_err().message();
     assert!(message.contains("a picture of the animation holds another"), "{message}");
 }
 
@@ -163,7 +166,7 @@ fn tiff_files_hold_the_values_that_they_state() {
     for entry in (0..entries).map(|index| directory + 2 + 12 * index) {
         let mut broken = whole.clone();
         broken[entry + 4..entry + 8].copy_from_slice(&0x1000_0000_u32.to_le_bytes());
-        let message = photograph("a file", &broken).unwrap_err().message;
+        let message = photograph("a file", &broken).unwrap_err().message();
         assert!(message.contains("the values of an entry end behind the file"), "{message}");
     }
     // An entry of 2^28 floats.
@@ -174,7 +177,7 @@ fn tiff_files_hold_the_values_that_they_state() {
     .concat();
     let small = [&b"MM\0\x2a\0\0\0\x08\0\x01\x01\0\0\x0b\x10\0\0\0\0\0\0\0\0\0"[..], &[0; 8]].concat();
     for file in [big, small] {
-        let message = photograph("a file", &file).unwrap_err().message;
+        let message = photograph("a file", &file).unwrap_err().message();
         assert!(message.contains("the values of an entry end behind the file"), "{message}");
     }
 }
@@ -199,7 +202,7 @@ fn what_is_not_read_has_a_next_command() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     scene(root, ".tif", ".tif").unwrap();
-    let refused = || open(&settings(root, 1)).unwrap_err().message;
+    let refused = || open(&settings(root, 1)).unwrap_err().message();
     let path = root.join("images/3.tif");
     let float = ImageBuffer::from_pixel(16, 12, Rgb([0.25_f32, 0.5, 4.0]));
     fs::write(&path, bytes(float, ImageFormat::Tiff)).unwrap();

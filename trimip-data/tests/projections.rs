@@ -119,7 +119,7 @@ fn stated(file: Value, own: Value) -> trimip_core::Result<Camera> {
 #[test]
 fn a_model_that_nobody_has_is_refused_with_the_names_of_all() {
     let error = stated(json!({ "camera_model": "FOV", "fl_x": 20.0 }), json!({})).unwrap_err();
-    assert_eq!(error.exit_code(), 2);
+    assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
     for model in Model::ALL {
         let text = error.to_string();
         assert!(model.definition().file_names.iter().all(|name| text.contains(name)), "{text}");
@@ -199,7 +199,7 @@ fn an_orthographic_camera_is_stated_by_pixels_a_unit_or_by_its_width() {
         (json!({ "orthographic": "yes" }), "orthographic"),
     ] {
         let error = stated(file, json!({})).unwrap_err();
-        assert!(error.exit_code() == 2 && error.to_string().contains(what), "{error}");
+        assert!(error.kind() == trimip_core::ErrorKind::Input && error.to_string().contains(what), "{error}");
     }
 }
 

@@ -90,8 +90,8 @@ fn broken_camera_parameters_are_named() {
     let path = root.join("cameras.csv");
     let refused = || {
         let error = open(&settings(root, 1)).unwrap_err();
-        assert!(error.exit_code() == 2 && !error.message.contains('\n'), "{error}");
-        error.message
+        assert!(error.kind() == trimip_core::ErrorKind::Input && !error.message().contains('\n'), "{error}");
+        error.message()
     };
     let whole = export(HEADER, "24.5,0,0,0.01,0.02,0,0,0,0");
     for (text, what) in [

@@ -56,8 +56,9 @@ impl Projection<'_, '_> {
             return Err(refused("Camera", "a projection that is not finite", "check fy, cx and cy"));
         }
         if let Some(lens) = lens {
-            k.lens = data::lens_of("lens", &value::json(lens)?, &Value::Object(serde_json::Map::new()))
-                .map_err(raised)?;
+            k.lens =
+                data::lens_of(&"lens".into(), &value::json(lens)?, &Value::Object(serde_json::Map::new()))
+                    .map_err(raised)?;
         }
         Ok(k)
     }

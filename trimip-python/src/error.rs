@@ -3,7 +3,7 @@
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
-use trimip::ErrorKind;
+use trimip::{Advice, ErrorKind, Place};
 
 create_exception!(
     trimip,
@@ -15,13 +15,26 @@ create_exception!(trimip, InputError, Error, "A file, a setting or an argument i
 create_exception!(trimip, RunError, Error, "A run failed with valid input, or missed its quality floor.");
 create_exception!(trimip, DeviceError, Error, "The device is missing, too small or lost.");
 
-/// Converts an error to its exception.
+/// Converts an error to its exception, with the parts of the error as attributes.
 pub fn raised(error: trimip::Error) -> PyErr {
-    match error.kind {
-        ErrorKind::Input => InputError::new_err(error.message),
-        ErrorKind::Device => DeviceError::new_err(error.message),
-        _ => RunError::new_err(error.message),
-    }
+    let raised = match error.kind() {
+        ErrorKind::Input => InputError::new_err(error.message()),
+        ErrorKind::Device => DeviceError::new_err(error.message()),
+        _ => RunError::new_err(error.message()),
+    };
+    let with_parts = Python::attach(|py| {
+        let value = raised.value(py);
+        value.setattr("place", error.place().map(Place::to_string))?;
+        value.setattr("path", error.place().and_then(Place::file))?;
+        let line = match error.place() {
+            Some(Place::Text { line, .. }) => Some(*line),
+            _ => None,
+        };
+        value.setattr("line", line)?;
+        value.setattr("found", error.found())?;
+        value.setattr("advice", error.advice().map(Advice::to_string))
+    });
+    with_parts.err().unwrap_or(raised)
 }
 
 /// Creates the exception for a wrong argument.

@@ -285,6 +285,16 @@ def test_errors_have_the_words_of_the_program(act, words, tmp_path):
     assert all(word in str(error.value) for word in words), error.value
 
 
+def test_an_error_has_its_parts_as_attributes(tmp_path):
+    scene = tmp_path / "transforms.json"
+    scene.write_text('{"frames": [\n1, }')
+    with pytest.raises(trimip.InputError) as raised:
+        trimip.Scene(str(tmp_path)).count("train")
+    error = raised.value
+    assert (error.path, error.line) == (scene, 2) and error.place == f"{scene}:2:4"
+    assert str(error) == f"{error.place}: {error.found}; {error.advice}"
+
+
 def test_the_words_of_an_error_are_the_programs(cli, tmp_path):
     with pytest.raises(trimip.InputError) as error:
         trimip.train({"train.steps": 0}, tmp_path / "run")

@@ -23,7 +23,7 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::{interval, timeout};
-use trimip_core::{Error, Result};
+use trimip_core::{Advice, Error, Result};
 
 /// Most simultaneous pages.
 const MOST_PAGES: usize = 64;
@@ -88,7 +88,7 @@ impl Listener {
     /// When the address is taken or cannot be bound.
     pub fn bind(at: SocketAddr) -> Result<Self> {
         let failed = |error: std::io::Error| {
-            let advice = "choose another --bind or --port";
+            let advice = Advice::Argument("choose another {bind} or {port}".into());
             Error::input(format!("{at}"), format!("cannot listen: {error}"), advice)
         };
         let listener = std::net::TcpListener::bind(at).map_err(failed)?;

@@ -22,7 +22,7 @@ pub struct Viewer {
 }
 
 fn thrown(error: Error) -> JsError {
-    JsError::new(&error.message)
+    JsError::new(&error.message())
 }
 
 #[wasm_bindgen]

@@ -140,7 +140,7 @@ impl Hybrid {
             return Err(Error::input(
                 "the model's proxy",
                 format!("{bytes} bytes, and the device binds at most {most} at once"),
-                "compute a coarser one (`trimip-cli bake --set hybrid.resolution=..`), or use renderer.kind=volume",
+                "bake a coarser one (hybrid.resolution), or use renderer.kind = \"volume\"",
             ));
         }
         let mut proxy = Buffer::zeros(gpu, 0);

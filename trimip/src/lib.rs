@@ -58,8 +58,8 @@ pub use trimip_data as data;
 
 #[doc(no_inline)]
 pub use trimip_core::{
-    Alpha, Backend, Camera, Config, Crop, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel, Result,
-    Session, Settings, StepReport, View, ViewSet, Viewer, config,
+    Advice, Alpha, Backend, Camera, Config, Crop, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel,
+    Place, Result, Session, Settings, StepReport, View, ViewSet, Viewer, config,
     engine::{checkpoint, events, exchange},
     field::model,
     measures::{metrics, quality},

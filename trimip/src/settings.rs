@@ -4,7 +4,7 @@
 
 use crate::backends;
 use std::sync::{Arc, LazyLock};
-use trimip_core::{Config, Definitions, Error, Origin, Result, Settings, field::model::Model};
+use trimip_core::{Config, Definitions, Error, Origin, Place, Result, Settings, field::model::Model};
 
 /// The definitions of all settings of this build.
 static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| {
@@ -49,7 +49,7 @@ pub fn override_model(model: &mut Model, assignments: &[String]) -> Result<()> {
         let belongs = !free.contains(&section) || key == "data.origin";
         if let Some((last, others)) = free.split_last().filter(|_| belongs) {
             return Err(Error::input(
-                format!("--set {assignment}"),
+                Place::argument("set", assignment),
                 "this setting belongs to the trained model",
                 format!("change only {} or {last} here, or train another model", others.join(", ")),
             ));
@@ -125,7 +125,10 @@ mod tests {
         assert_eq!(rows[0].key, "backend");
         assert!(rows.iter().any(|row| row.key == "hidden" && row.meaning.contains("width")));
         let text = text(&settings);
-        assert!(text.lines().any(|line| line.starts_with("steps") && line.ends_with("# --set")), "{text}");
+        assert!(
+            text.lines().any(|line| line.starts_with("steps") && line.ends_with("# command line")),
+            "{text}"
+        );
         assert_eq!(Config::from_toml("shown", &text).unwrap().train.steps, 7);
     }
 
@@ -135,7 +138,10 @@ mod tests {
         assert_eq!(Config::from_settings(&of(&config).unwrap()).unwrap(), config);
         config.encoder.levels = 0;
         let error = of(&config).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("encoder.levels = 0"), "{error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains("encoder.levels = 0"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -144,7 +150,7 @@ mod tests {
         override_model(&mut model, &["data.root=elsewhere".into(), "threads=1".into()]).unwrap();
         assert_eq!((model.config.data.root.as_str(), model.config.threads), ("elsewhere", 1));
         let error = override_model(&mut model, &["encoder.plane_size=64".into()]).unwrap_err();
-        assert_eq!(error.exit_code(), 2);
+        assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
     }
 
     /// The page of all settings is up to date. A build without a backend lacks its settings.

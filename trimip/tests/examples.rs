@@ -41,7 +41,7 @@ fn one_example_trains_and_the_other_renders() {
     let picture = temporary.path().join("other.png");
     render::run(&[&folder, &picture].map(|path| path.display().to_string())).unwrap();
     expect_picture(&picture, (64, 48));
-    assert_eq!(render::run(&[]).unwrap_err().exit_code(), 2);
+    assert_eq!(render::run(&[]).unwrap_err().kind(), trimip_core::ErrorKind::Input);
 
     // A folder of photographs, here those of the built-in scene, is the first argument.
     let photographs = temporary.path().join("photographs");

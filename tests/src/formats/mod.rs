@@ -76,8 +76,8 @@ impl Format {
 
     /// Asserts an error of one line with the file's name and an action.
     fn expect_told(&self, error: &Error) {
-        let message = &error.message;
-        assert_eq!((error.kind, error.exit_code()), (ErrorKind::Input, 2), "{message}");
+        let message = &error.message();
+        assert_eq!(error.kind(), ErrorKind::Input, "{message}");
         assert!(!message.contains('\n'), "{message}");
         assert!(
             self.files.iter().any(|file| message.starts_with(file)),

@@ -233,8 +233,8 @@ pub fn broken<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>) ->
                 runs.into_iter().map(|run| run.join().expect("a rank trains")).collect::<Result<Vec<_>>>()
             })?;
             for error in errors {
-                assert_eq!(error.kind, ErrorKind::Device, "{error}");
-                assert!(error.message.starts_with("message of another rank: expected "), "{error}");
+                assert_eq!(error.kind(), ErrorKind::Device, "{error}");
+                assert!(error.message().starts_with("message of another rank: expected "), "{error}");
             }
         }
     }

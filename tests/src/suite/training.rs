@@ -214,9 +214,9 @@ pub fn spoilt<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             ];
             for refused in refused {
                 let error = refused.expect_err("it holds an update by a loss that is not finite");
-                assert_eq!(error.kind, ErrorKind::Run);
+                assert_eq!(error.kind(), ErrorKind::Run);
                 assert!(
-                    error.message.starts_with("step 6: ") && error.message.contains("not finite"),
+                    error.message().starts_with("step 6: ") && error.message().contains("not finite"),
                     "{error}"
                 );
             }

@@ -161,7 +161,7 @@ fn jumps(measured: &[Measured], frames: &[usize]) -> Option<String> {
         named.push(format!("{} more", jumps.len() - NAMED));
     }
     Some(format!(
-        "exposure: {} between neighbours: {}; lock it while filming, or train with --set loss.exposure=gain",
+        "exposure: {} between neighbours: {}; lock it while filming, or train with loss.exposure = \"gain\"",
         count(jumps.len() as u64, "jump"),
         named.join(", ")
     ))

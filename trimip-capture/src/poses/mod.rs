@@ -23,7 +23,7 @@ use std::{
     path::{Path, PathBuf},
     sync::atomic::AtomicBool,
 };
-use trimip::{Error, Result};
+use trimip::{Error, Place, Result};
 
 /// The programs that estimate poses.
 pub struct Poses {
@@ -59,14 +59,16 @@ impl Poses {
         let glomap = programs::find("glomap");
         let only_glomap = wanted == Some(PosesProgram::Glomap);
         if only_glomap && glomap.is_none() {
-            return Err(Need::Glomap.missing("--poses glomap"));
+            return Err(Need::Glomap.missing(Place::argument("poses", "glomap")));
         }
         let colmap = || Colmap::find().map(Engine::Colmap);
         let python = || Python::find().map(Engine::Python);
         let engine = match wanted {
-            Some(PosesProgram::Colmap) => colmap().ok_or_else(|| Need::Colmap.missing("--poses colmap")),
+            Some(PosesProgram::Colmap) => {
+                colmap().ok_or_else(|| Need::Colmap.missing(Place::argument("poses", "colmap")))
+            }
             Some(PosesProgram::Pycolmap) => {
-                python().ok_or_else(|| Need::Pycolmap.missing("--poses pycolmap"))
+                python().ok_or_else(|| Need::Pycolmap.missing(Place::argument("poses", "pycolmap")))
             }
             // glomap only places cameras; another program must find features and matches.
             _ if began == Some(PosesProgram::Pycolmap) => {
@@ -239,7 +241,7 @@ impl Poses {
             folder.path("images").display(),
             format!("{} placed none of these pictures", self.name()),
             format!(
-                "take more with more overlap, sharper ones, or try --matcher exhaustive; all it said is in {}",
+                "take more with more overlap, sharper ones, or try the matcher `exhaustive`; all it said is in {}",
                 folder.log("model").display()
             ),
         )

@@ -85,7 +85,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (half, name) in [(0.1_f32, "thin fog"), (1.0, "a cloud"), (20.0, "a solid ball")] {
         let mut model = ball(half);
         let without = picture(make, &model, Hybrid, &look(4, 0.7, DVec3::X * 4.0, DVec3::ZERO));
-        let refused = without.is_err_and(|error| error.exit_code() == 2);
+        let refused = without.is_err_and(|error| error.kind() == trimip_core::ErrorKind::Input);
         let config = model.config.clone();
         let mut viewer = LoadedModel::new(make()?, &model)?;
         let proxy = bake(&mut viewer, &model, &Baking::of(&config), &mut |_| true)?;
@@ -139,7 +139,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         ));
         let mut broken = model.clone();
         broken.file.tensors.insert("asset.proxy.codes".into(), Tensor::u8(&[3], vec![1, 2, 3]));
-        let torn = picture(make, &broken, Hybrid, &far).is_err_and(|error| error.exit_code() == 2);
+        let torn = picture(make, &broken, Hybrid, &far)
+            .is_err_and(|error| error.kind() == trimip_core::ErrorKind::Input);
         tell(found(
             &format!("{name}, no proxy and a broken one"),
             "pictures that are not refused",

@@ -29,7 +29,7 @@ pub fn run(arguments: &CaptureArguments) -> Result<u8> {
         backends::check(&config.backend)?;
     }
     let stop = interrupt::install_for(
-        "stopping; the same command goes on from here; press Ctrl-C again to end at once",
+        "stopping; the same command continues from here; press Ctrl-C again to end at once",
     )?;
     let display = Display::new(arguments.progress);
     let captured = trimip_capture::run(&arguments.request(), &stop, &|event| display.show(event));

@@ -97,6 +97,6 @@ mod tests {
         assert_eq!(page.matches("</i>a&lt;b</span>").count(), 1);
         assert!(page.contains("≤ 10.0 s") && page.contains("<td class=\"n\">20.0 s</td>"));
         let wrong = CompareArguments { html: Some(csv.join("page.html")), ..arguments };
-        assert_eq!(run(&wrong).unwrap_err().exit_code(), 2);
+        assert_eq!(run(&wrong).unwrap_err().kind(), trimip_core::ErrorKind::Input);
     }
 }

@@ -34,8 +34,8 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
     match training.and_then(quietly) {
         Ok((Ended::Stopped, _)) => JobEnd::Stopped,
         Ok((_, data)) => JobEnd::Trained(data),
-        Err(error) if error.kind == ErrorKind::Stopped => JobEnd::Stopped,
-        Err(error) => JobEnd::Failed(error.message),
+        Err(error) if error.kind() == ErrorKind::Stopped => JobEnd::Stopped,
+        Err(error) => JobEnd::Failed(error.message()),
     }
 }
 
@@ -121,7 +121,10 @@ mod tests {
         expect_one(&seen).expect("no two on one data set differ");
         seen.push(run("d", "chair", 5));
         let error = expect_one(&seen).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.starts_with("d: other photographs"), "{error}");
-        assert!(error.message.contains("of b: other pixels"), "{error}");
+        assert!(
+            error.kind() == ErrorKind::Input && error.message().starts_with("d: other photographs"),
+            "{error}"
+        );
+        assert!(error.message().contains("of b: other pixels"), "{error}");
     }
 }

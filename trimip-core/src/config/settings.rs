@@ -8,9 +8,10 @@ pub(crate) mod text;
 pub(crate) mod values;
 
 use crate::config::defaults::{Definitions, Placed};
-use crate::{Error, Result};
+use crate::{Advice, Error, Place, Result};
 use checker::Checker;
 use earlier::{RETIRED, renamed};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use text::parts_of;
@@ -19,13 +20,13 @@ use toml::{Table, Value};
 use values::{fit, is_plain, parsed, plain, shown};
 
 /// Where an effective value came from.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Origin {
     /// The table of defaults.
     Default,
     /// `file:line:column`.
     File(String),
-    /// `--set` on the command line.
+    /// The command line.
     CommandLine,
     /// A program that uses the library.
     Code,
@@ -38,7 +39,7 @@ impl std::fmt::Display for Origin {
         match self {
             Self::Default => f.write_str("default"),
             Self::File(place) => f.write_str(place),
-            Self::CommandLine => f.write_str("--set"),
+            Self::CommandLine => f.write_str("command line"),
             Self::Code => f.write_str("settings"),
             Self::Plan => f.write_str("scene plan"),
         }
@@ -49,6 +50,8 @@ impl std::fmt::Display for Origin {
 impl From<&str> for Origin {
     fn from(text: &str) -> Self {
         let known = [Self::Default, Self::CommandLine, Self::Code, Self::Plan];
+        // Its earlier name, in the reports of earlier versions.
+        let text = if text == "--set" { "command line" } else { text };
         let found = known.into_iter().find(|origin| origin.to_string() == text);
         found.unwrap_or_else(|| Self::File(text.into()))
     }
@@ -107,7 +110,7 @@ impl Settings {
     /// When the text is not TOML, a key is unknown or a value has another type; the error names line and column.
     pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
         let table = DeTable::parse(text).map_err(|error| {
-            let place = error.span().map_or(name.to_string(), |span| place(name, text, span.start));
+            let place = error.span().map_or(Place::from(name), |span| place(name, text, span.start));
             Error::input(place, format!("not valid TOML: {}", error.message()), "mend the line")
         })?;
         self.apply_table(name, text, "", table.get_ref())
@@ -118,7 +121,7 @@ impl Settings {
         let mut undefined = Vec::new();
         for (key, value) in table {
             let (path, start) = (path(key.get_ref()), key.span().start);
-            let origin = || Origin::File(place(name, text, start));
+            let origin = || Origin::File(place(name, text, start).to_string());
             if let Some(new) = renamed(&path).filter(|new| table.contains_key(parts_of(new).1)) {
                 return Err(Error::input(
                     place(name, text, start),
@@ -131,7 +134,7 @@ impl Settings {
                     self.apply_table(name, text, &path, inner)?;
                 }
                 _ if self.is_undefined(&path) => undefined.push((start, path, value)),
-                _ => self.put(&path, plain(value), &place(name, text, start), origin())?,
+                _ => self.put(&path, plain(value), place(name, text, start), origin())?,
             }
         }
         // Sorted by their order in the text, in which they are written again.
@@ -146,7 +149,8 @@ impl Settings {
                     let before = table.iter().filter(|(key, _)| key.span().start < start);
                     let before = before.max_by_key(|(key, _)| key.span().start);
                     let after = before.map_or("", |(key, _)| key.get_ref());
-                    self.carry(&path, after, plain(value), &place, Origin::File(place.clone()))?;
+                    let origin = Origin::File(place.to_string());
+                    self.carry(&path, after, plain(value), place, origin)?;
                 }
             }
         }
@@ -158,11 +162,11 @@ impl Settings {
     /// # Errors
     /// When there is no `=`, the key is unknown or the value has another type.
     pub fn apply_assignment(&mut self, assignment: &str) -> Result<()> {
-        let place = format!("--set {assignment}");
+        let place = Place::argument("set", assignment);
         let Some((path, text)) = assignment.split_once('=') else {
-            return Err(Error::input(place, "no '=' found", "write --set section.key=value"));
+            return Err(Error::input(place, "no '=' found", "write section.key=value"));
         };
-        self.put(path.trim(), parsed(text), &place, Origin::CommandLine)
+        self.put(path.trim(), parsed(text), place, Origin::CommandLine)
     }
 
     /// Applies a value set in code; for chaining.
@@ -179,7 +183,7 @@ impl Settings {
     /// # Errors
     /// When there is no such setting or the value has another type.
     pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<()> {
-        self.put(path, value.into(), "settings", Origin::Code)
+        self.put(path, value.into(), "settings".into(), Origin::Code)
     }
 
     /// Applies a decision of the scene plan; `value` is TOML text.
@@ -187,7 +191,7 @@ impl Settings {
     /// # Errors
     /// When there is no such setting or the value has another type.
     pub fn decide(&mut self, path: &str, value: &str) -> Result<()> {
-        self.put(path, parsed(value), "scene plan", Origin::Plan)
+        self.put(path, parsed(value), "scene plan".into(), Origin::Plan)
     }
 
     /// The effective value of a setting as TOML text; empty if there is no such setting.
@@ -212,14 +216,16 @@ impl Settings {
         *own = origin;
     }
 
-    fn put(&mut self, path: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
+    fn put(&mut self, path: &str, value: Value, place: Place, origin: Origin) -> Result<()> {
         let path = renamed(path).unwrap_or(path);
         if let Some((_, only, expected)) = RETIRED.iter().find(|(retired, ..)| *retired == path) {
             return match value.as_integer() == Some(*only) {
                 true => Ok(()),
-                false => {
-                    Err(Error::input(place, format!("`{path}` is {value}"), format!("expected {expected}")))
-                }
+                false => Err(Error::input(
+                    place,
+                    format!("`{path}` is {value}"),
+                    Advice::Expected((*expected).into()),
+                )),
             };
         }
         let Some(entry) = self.entries.get_mut(path) else {
@@ -235,7 +241,7 @@ impl Settings {
             _ => Ok(value),
         };
         entry.0 = fitted.map_err(|(found, expected)| {
-            Error::input(place, format!("`{path}` is {found}"), format!("expected {expected}"))
+            Error::input(place, format!("`{path}` is {found}"), Advice::Expected(expected.to_string()))
         })?;
         let given = positive(&entry.0);
         entry.1 = origin.clone();
@@ -249,7 +255,7 @@ impl Settings {
     }
 
     /// Keeps an undefined setting, placed after the key `after`. Fails if the section takes no undefined settings.
-    fn carry(&mut self, path: &str, after: &str, value: Value, place: &str, origin: Origin) -> Result<()> {
+    fn carry(&mut self, path: &str, after: &str, value: Value, place: Place, origin: Origin) -> Result<()> {
         let (section, key) = parts_of(path);
         let bare =
             |name: &str| name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"_-".contains(&byte));
@@ -267,7 +273,7 @@ impl Settings {
         Err(Error::input(
             place,
             format!("unknown setting `{path}`"),
-            format!("expected one of: {}", known.join(", ")),
+            Advice::Expected(format!("one of: {}", known.join(", "))),
         ))
     }
 
@@ -301,11 +307,13 @@ impl Settings {
         self.entries.iter().map(|(path, (value, origin))| (path.as_str(), value, origin))
     }
 
-    /// Origin and value of the setting at `path`, as text for an error.
-    pub fn place(&self, path: &str) -> String {
+    /// Path, value and origin of the setting at `path`, for an error.
+    pub fn place(&self, path: &str) -> Place {
         match self.entries.get(path) {
-            Some((value, origin)) => format!("{origin}: {path} = {}", shown(value)),
-            None => path.to_string(),
+            Some((value, origin)) => {
+                Place::Setting { path: path.into(), value: shown(value), origin: origin.clone() }
+            }
+            None => path.into(),
         }
     }
 
@@ -348,11 +356,11 @@ fn positive(value: &Value) -> bool {
 }
 
 /// `name:line:column` of a byte offset.
-fn place(name: &str, text: &str, offset: usize) -> String {
+fn place(name: &str, text: &str, offset: usize) -> Place {
     let before = &text[..offset.min(text.len())];
     let line = before.matches('\n').count() + 1;
     let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
-    format!("{name}:{line}:{column}")
+    Place::Text { file: name.into(), line, column: Some(column) }
 }
 
 #[cfg(test)]
@@ -385,8 +393,8 @@ mod tests {
         assert_eq!(table["seed"].as_integer(), Some(7));
         assert_eq!(table["train"]["steps"].as_integer(), Some(20));
         assert_eq!(table["data"]["root"].as_str(), Some("some/folder"));
-        assert_eq!(settings.place("seed"), "run.toml:1:1: seed = 7");
-        assert_eq!(settings.place("train.steps"), "--set: train.steps = 20");
+        assert_eq!(settings.place("seed").to_string(), "run.toml:1:1: seed = 7");
+        assert_eq!(settings.place("train.steps").to_string(), "command line: train.steps = 20");
     }
 
     #[test]
@@ -394,22 +402,22 @@ mod tests {
         let mut settings = Settings::defaults();
         let error = settings.apply_file("run.toml", "seed = 1\n[train]\n  stepz = 3\n").unwrap_err();
         assert!(
-            error.message.starts_with("run.toml:3:3: unknown setting `train.stepz`; expected one of: "),
+            error.message().starts_with("run.toml:3:3: unknown setting `train.stepz`; expected one of: "),
             "{error}"
         );
-        assert!(error.message.contains("train.steps"), "{error}");
+        assert!(error.message().contains("train.steps"), "{error}");
         let error = settings.apply_file("run.toml", "[trian]\nsteps = 3\n").unwrap_err();
         assert!(
-            error.message.contains("unknown setting `trian`") && error.message.contains("train"),
+            error.message().contains("unknown setting `trian`") && error.message().contains("train"),
             "{error}"
         );
         let error = settings.apply_file("run.toml", "[train]\nsteps = \"many\"\n").unwrap_err();
         assert!(
-            error.message.contains("run.toml:2:1") && error.message.contains("a whole number"),
+            error.message().contains("run.toml:2:1") && error.message().contains("a whole number"),
             "{error}"
         );
         let error = settings.apply_file("run.toml", "[train\n").unwrap_err();
-        assert!(error.message.starts_with("run.toml:1:"), "{error}");
+        assert!(error.message().starts_with("run.toml:1:"), "{error}");
         assert!(settings.apply_assignment("train.steps").is_err());
     }
 
@@ -421,9 +429,9 @@ mod tests {
         settings.apply_assignment("encoder.channels=16").unwrap();
         assert_eq!(settings.table(), before);
         let error = settings.apply_file("old.toml", "[encoder]\nchannels = 8\n").unwrap_err();
-        assert_eq!(error.exit_code(), 2);
+        assert_eq!(error.kind(), crate::ErrorKind::Input);
         for part in ["old.toml:2:1", "`encoder.channels` is 8", "expected 16"] {
-            assert!(error.message.contains(part), "{part} in {error}");
+            assert!(error.message().contains(part), "{part} in {error}");
         }
     }
 

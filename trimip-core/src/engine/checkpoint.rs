@@ -4,7 +4,7 @@
 pub use crate::{engine::batch::MOST_PENDING, field::tensor_names::OCCUPANCY_DENSITY};
 
 use crate::{
-    Config, Error, Result,
+    Advice, Config, Error, Result,
     engine::{batch::StepSums, error_map, events::Totals, exposure, poses, trainer::rays::most_rays},
     field::{
         encoders,
@@ -69,8 +69,8 @@ impl TrainState {
             true => Ok(()),
             false => Err(Error::input(
                 place,
-                format!("its state: {name} is {value}"),
-                format!("expected {expected}: the file is damaged; give --fresh to start the run anew"),
+                format!("its state: {name} is {value}, expected {expected}: the file is damaged"),
+                Advice::StartOver,
             )),
         };
         let Totals { step, seconds, samples, marched, rays, empty_batches, non_finite, left_out } =

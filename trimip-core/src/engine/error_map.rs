@@ -5,7 +5,7 @@
 //! expected gradient is that of even draws.
 
 use crate::{
-    Config, Error, Result, View, ViewSet,
+    Advice, Config, Error, Result, View, ViewSet,
     engine::exposure::photographs,
     field::tensors::{Tensor, TensorFile},
     math::rng::below,
@@ -289,11 +289,7 @@ impl ErrorMap {
         let finite =
             |sums: &Vec<[f32; 2]>| sums.as_flattened().iter().all(|sum| sum.is_finite() && *sum >= 0.0);
         if !rising || !finite(&sums) {
-            return Err(Error::input(
-                name,
-                "its error map is none",
-                "the file is damaged; give --fresh to start the run anew",
-            ));
+            return Err(Error::input(name, "its error map is none: the file is damaged", Advice::StartOver));
         }
         let guide = Guide::new(&starts);
         Ok((Self { sums, starts, guide, ..self.clone() }, pending.as_chunks().0.to_vec()))

@@ -266,6 +266,9 @@ mod tests {
         // One gradient is NaN, so the states are compared as text.
         let restored = Exposures::new(2).restored(&file, "checkpoint").unwrap();
         assert_eq!(format!("{restored:?}"), format!("{exposures:?}"));
-        assert_eq!(Exposures::new(3).restored(&file, "checkpoint").unwrap_err().exit_code(), 2);
+        assert_eq!(
+            Exposures::new(3).restored(&file, "checkpoint").unwrap_err().kind(),
+            crate::ErrorKind::Input
+        );
     }
 }

@@ -144,8 +144,8 @@ mod tests {
                 }
                 Err(error) => {
                     assert!(count < 15 || (count - 15) % 12 != 0, "{count}");
-                    assert_eq!(error.kind, ErrorKind::Device);
-                    assert!(error.message.contains(&format!("found {count}")), "{error}");
+                    assert_eq!(error.kind(), ErrorKind::Device);
+                    assert!(error.message().contains(&format!("found {count}")), "{error}");
                 }
             }
         }

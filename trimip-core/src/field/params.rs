@@ -174,7 +174,7 @@ mod tests {
         let mut file = TensorFile::default();
         layout.to_tensors(&values, ".m", &mut file);
         assert_eq!(layout.from_tensors(&file, "x", ".m").unwrap(), values);
-        assert!(layout.from_tensors(&file, "x", "").unwrap_err().message.contains("planes"));
+        assert!(layout.from_tensors(&file, "x", "").unwrap_err().message().contains("planes"));
     }
 
     #[test]

@@ -278,13 +278,13 @@ mod tests {
         assert!(mean.remark(Remedy::Opacity).is_some_and(|remark| remark.contains("18.00 dB")));
         let eval = |min_psnr, min_gain| EvalConfig { min_psnr, min_gain, ..Config::default().eval };
         assert!(mean.judge(&eval(0.0, 1.0)).is_ok() && mean.judge(&eval(20.0, 0.0)).is_ok());
-        assert_eq!(mean.judge(&eval(20.1, 1.0)).unwrap_err().exit_code(), 1);
+        assert_eq!(mean.judge(&eval(20.1, 1.0)).unwrap_err().kind(), crate::ErrorKind::Run);
         let blind = Measures { psnr: f64::NAN, ..mean };
         assert!(
-            blind.judge(&eval(0.0, 0.0)).unwrap_err().message.contains("not a number"),
+            blind.judge(&eval(0.0, 0.0)).unwrap_err().message().contains("not a number"),
             "it is nobody's floor"
         );
-        assert!(blind.judge(&eval(0.0, 1.0)).unwrap_err().message.contains("failed to learn"));
+        assert!(blind.judge(&eval(0.0, 1.0)).unwrap_err().message().contains("failed to learn"));
         assert_eq!(Measures { psnr_opposite: 19.5, ..mean }.remark(Remedy::Opacity), None);
         assert_eq!(Measures { psnr_opposite: f64::NAN, ..mean }.remark(Remedy::Opacity), None);
         assert!(mean.learned(1.0) && !Measures { psnr: 12.9, ..mean }.learned(1.0));

@@ -127,7 +127,7 @@ impl Run<'_> {
         let mut kept = (totals.step > 0).then_some(totals.step);
         let outcome = self.steps(totals, last_step, &mut kept);
         if let Err(error) = &outcome
-            && error.kind == ErrorKind::Device
+            && error.kind() == ErrorKind::Device
         {
             // A failed device returns no state: only what was stored before remains.
             let message = match kept {
@@ -150,7 +150,7 @@ impl Run<'_> {
             if points.first().is_some_and(|&point| point <= self.progress(&totals)) {
                 points.retain(|&point| point > self.progress(&totals));
                 match self.evaluate_on_the_way(&totals, &mut keeper) {
-                    Err(error) if error.kind != ErrorKind::Device => {
+                    Err(error) if error.kind() != ErrorKind::Device => {
                         return Err(self.save_after(error, &totals, kept));
                     }
                     evaluated => evaluated?,
@@ -164,7 +164,7 @@ impl Run<'_> {
             let started = Instant::now();
             let report = match self.session.step(self.progress(&totals)) {
                 Ok(report) => report,
-                Err(error) if error.kind == ErrorKind::Device => return Err(error),
+                Err(error) if error.kind() == ErrorKind::Device => return Err(error),
                 Err(error) => return Err(self.save_after(error, &totals, kept)),
             };
             let seconds = started.elapsed().as_secs_f64();
@@ -308,10 +308,8 @@ impl Run<'_> {
         match self.save(totals, kept) {
             Ok(()) => error,
             // Saving returned the same error: the session only has the state of the failed step.
-            Err(unsaved) if unsaved.message == error.message => {
-                Error { message: format!("{}; {}", error.message, remaining(*kept)), ..error }
-            }
-            Err(unsaved) => Error { message: format!("{}; {}", error.message, unsaved.message), ..error },
+            Err(unsaved) if unsaved.message() == error.message() => error.with_note(remaining(*kept)),
+            Err(unsaved) => error.with_note(unsaved),
         }
     }
 }

@@ -123,7 +123,7 @@ fn take(
     }
     let own = decision.owns.iter().find(|path| *given.origin(path) != Origin::Default);
     if let (PlanChoice::Auto, Some(path)) = (choice, own) {
-        return Ok(finding(false, format!("{path} is set by {}", given.origin(path)), Vec::new()));
+        return Ok(finding(false, format!("{path} is given: {}", given.origin(path)), Vec::new()));
     }
     let now = Config::from_settings(settings)?;
     let proposal = (decision.decide)(&Context { now: &now, configured, facts, given });

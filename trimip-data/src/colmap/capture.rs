@@ -24,7 +24,7 @@ use std::{
     collections::{BTreeSet, HashMap},
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Result, plural::count};
+use trimip_core::{Camera, Error, Place, Result, plural::count};
 
 /// A capture with a model, before any photograph is decoded.
 pub(crate) struct Capture {
@@ -41,7 +41,7 @@ pub(crate) struct Capture {
 /// A frame of the model.
 struct Frame {
     name: String,
-    place: String,
+    place: Place,
     path: PathBuf,
     camera: Camera,
 }
@@ -64,7 +64,7 @@ impl Capture {
         warnings.extend(unplaced(&folder, &image_names));
         let looked_in = if config.images.is_empty() { root } else { &folder };
         let pictures = Pictures::named_from(&folder, looked_in);
-        let entries = image_names.iter().map(|name| (*name, String::new()));
+        let entries = image_names.iter().map(|name| (*name, Place::from(&file)));
         let (paths, of_photographs) = pictures::of_most_entries(&pictures, &file, entries)?;
         warnings.extend(of_photographs);
         let mut there = paths.iter().map(Option::is_some);
@@ -75,7 +75,7 @@ impl Capture {
         let names = names::unique(&image_names);
         let of_images = model.images.iter().zip(cameras).zip(&names).zip(paths.into_iter().flatten());
         let frames = of_images.map(|(((image, camera), name), path)| {
-            let place = format!("{}: {}", file.display(), image.place());
+            let place = Place::part(&file, image.place());
             Frame { name: name.clone(), path, place, camera }
         });
         let mut frames: Vec<Frame> = frames.collect();
@@ -144,7 +144,7 @@ impl Model {
         let cameras: HashMap<u32, &ModelCamera> =
             self.cameras.iter().map(|camera| (camera.id, camera)).collect();
         let camera = |image: &ModelImage| {
-            let place = format!("{file}: {}", image.place());
+            let place = Place::part(file, image.place());
             let (rotation, origin) = pose(image, &place)?;
             let wrong = |what: &str| Error::input(&place, what, "export the model again");
             let camera = cameras.get(&image.camera).ok_or_else(|| wrong("has an unknown camera"))?;
@@ -158,7 +158,7 @@ impl Model {
 }
 
 /// Camera-to-world rotation in OpenGL axes, and centre: Rᵀ·diag(1, −1, −1) and −Rᵀ·t.
-fn pose(image: &ModelImage, place: &str) -> Result<(DMat3, DVec3)> {
+fn pose(image: &ModelImage, place: &Place) -> Result<(DMat3, DVec3)> {
     // The largest part is scaled to 1, so that no square leaves the range of f64.
     let largest = image.rotation.iter().fold(0.0_f64, |largest, part| largest.max(part.abs()));
     let [w, x, y, z] = image.rotation.map(|part| part / largest);

@@ -191,8 +191,16 @@ pub(super) fn photographs(root: &Path, stated: &str, model: &Path, names: &[&str
     let folders: Vec<PathBuf> = [root.join("images"), root.into()].into_iter().chain(above).collect();
     let found = folders.iter().find(|folder| names.iter().any(|name| folder.join(name).is_file()));
     let pictures = Pictures::new(root);
-    let moved =
-        || names.iter().find_map(|name| pictures.find(name, "").ok()?.path.parent().map(Path::to_path_buf));
+    let moved = || {
+        names.iter().find_map(|name| {
+            pictures
+                .find(name, &images_file(&model).as_path().into())
+                .ok()?
+                .path
+                .parent()
+                .map(Path::to_path_buf)
+        })
+    };
     found.cloned().or_else(moved).ok_or_else(|| {
         Error::input(
             images_file(&model).display(),

@@ -12,7 +12,7 @@ use crate::{
 };
 use glam::{DMat3, DVec3};
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, plural::count};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result, plural::count};
 
 /// Trajectory, photographs and their intrinsics.
 const POSES: &str = "lowres_wide.traj";
@@ -85,7 +85,7 @@ fn cameras_of_trajectory(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     let intrinsics = intrinsics(path, &numbers::parse(path, PINCAM.as_bytes(), ADVICE)?)?;
     let path = Path::new(name);
     let camera = |(index, line): (usize, &Line)| {
-        let (rotation, origin) = placed(line).ok_or_else(|| not_finite(name))?;
+        let (rotation, origin) = placed(line).ok_or_else(|| not_finite(&path.into()))?;
         Ok((index.to_string(), Camera { intrinsics, rotation, origin }))
     };
     poses(path, numbers::parse(path, bytes, ADVICE)?)?.iter().enumerate().map(camera).collect()
@@ -131,13 +131,13 @@ fn placed(&[_, x, y, z, tx, ty, tz]: &Line) -> Option<(DMat3, DVec3)> {
     (rotation.is_finite() && origin.is_finite()).then_some((rotation, origin))
 }
 
-fn not_finite(place: &str) -> Error {
+fn not_finite(place: &Place) -> Error {
     Error::input(place, "has a pose that is not finite", ADVICE)
 }
 
 /// The frame of a photograph; `None` without a pose.
 fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>> {
-    let place = photograph.display().to_string();
+    let place = Place::from(photograph);
     let name = names::stem(&photograph.file_name().unwrap_or_default().to_string_lossy());
     let parts = name.rsplit_once('_').and_then(|(video, time)| Some((video, numbers::number(time).ok()?)));
     let Some((video, time)) = parts else {
@@ -152,7 +152,7 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
     let named = format!("{IMAGES}/{}", photograph.file_name().unwrap_or_default().to_string_lossy());
     Ok(Some(Frame {
         // The file of the intrinsics states the size, so errors about the size name this file.
-        place: format!("{}: frame {named}", path.display()),
+        place: Place::part(path, format_args!("frame {named}")),
         named,
         rotation,
         origin,

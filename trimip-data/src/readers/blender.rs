@@ -19,7 +19,7 @@ use crate::{
 use glam::{DMat3, DVec3};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Result};
+use trimip_core::{Camera, Error, Place, Result};
 
 /// Its value of `data.format`.
 pub(crate) const FORMAT: &str = "blender";
@@ -145,7 +145,7 @@ fn has_photographs(pictures: &Pictures, path: &Path) -> bool {
     let Ok(document) = json::read(path) else { return true };
     let Some(entries) = document.get("frames").and_then(Value::as_array) else { return true };
     let named: Vec<&str> = entries.iter().filter_map(named).collect();
-    named.is_empty() || named.iter().any(|named| pictures.find(named, "").is_ok())
+    named.is_empty() || named.iter().any(|named| pictures.find(named, &path.into()).is_ok())
 }
 
 /// The file that holds all frames of a folder.
@@ -265,8 +265,8 @@ impl<'a> Transforms<'a> {
     fn entry(&self, index: usize) -> Result<Entry<'a>> {
         let entry = &self.entries[index];
         let place = match named(entry) {
-            Some(named) => format!("{}: frame {index} ({named})", self.path.display()),
-            None => format!("{}: frame {index}", self.path.display()),
+            Some(named) => Place::part(self.path, format_args!("frame {index} ({named})")),
+            None => Place::part(self.path, format_args!("frame {index}")),
         };
         let frame = Node::new(place, entry)?;
         Ok(Entry {

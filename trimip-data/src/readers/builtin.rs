@@ -58,7 +58,7 @@ pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
         .into_iter()
         .enumerate()
         .map(|(i, camera)| {
-            Source::averaged(format!("r_{i}"), camera, config.scales, "data.builtin_size", pixels())
+            Source::averaged(format!("r_{i}"), camera, config.scales, &"data.builtin_size".into(), pixels())
         })
         .collect::<Result<_>>()?;
     Ok(Split { sources, ..Split::default() })

@@ -15,7 +15,7 @@ use std::{
     path::{Path, PathBuf},
     str::SplitAsciiWhitespace,
 };
-use trimip_core::{Error, Lens, Result, plural::count, text};
+use trimip_core::{Error, Lens, Place, Result, plural::count, text};
 
 const FILE: &str = "bundle.out";
 
@@ -118,7 +118,7 @@ impl Bundle {
             let rotation = to_camera.transpose();
             let lens = Lens::perspective([k1, k2, 0.0, 0.0], [0.0; 2], [0.0; 3]);
             frames.push(Frame {
-                place: format!("{name}: camera {index} ({named})"),
+                place: Place::part(name, format_args!("camera {index} ({named})")),
                 named,
                 rotation,
                 origin: -(rotation * translation),

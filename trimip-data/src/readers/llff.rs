@@ -17,7 +17,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
 };
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, plural::count};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result, plural::count};
 
 const FILE: &str = "poses_bounds.npy";
 
@@ -53,7 +53,7 @@ fn example() -> Vec<u8> {
 /// The cameras of a file, named by their numbers.
 fn cameras(name: &str, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
     let camera = |index: usize, row: &[f64; COLUMNS]| {
-        let row = Row::new(&format!("{name}: pose {index}"), row)?;
+        let row = Row::new(&Place::part(name, format_args!("pose {index}")), row)?;
         Ok((index.to_string(), row.camera(row.size.map(|side| side.round() as u32))))
     };
     let rows = npy::rows::<COLUMNS>(name, bytes, ADVICE)?;
@@ -71,7 +71,7 @@ struct Row {
 
 impl Row {
     /// A row of the file; `place` names it.
-    fn new(place: &str, row: &[f64; COLUMNS]) -> Result<Self> {
+    fn new(place: &Place, row: &[f64; COLUMNS]) -> Result<Self> {
         let wrong = |what: String| Error::input(place, what, ADVICE);
         let matrix = [0, 5, 10].map(|start| [row[start + 1], -row[start], row[start + 2], row[start + 3]]);
         let (rotation, origin) = pose::checked(matrix).map_err(wrong)?;
@@ -212,9 +212,9 @@ impl OpenScene for Capture {
 }
 
 /// A row of the file in words.
-fn place(file: &Path, index: usize, photograph: &Path) -> String {
+fn place(file: &Path, index: usize, photograph: &Path) -> Place {
     let name = photograph.file_name().unwrap_or_default();
-    format!("{}: pose {index} ({})", file.display(), name.display())
+    Place::part(file, format_args!("pose {index} ({})", name.display()))
 }
 
 /// The folder `named` in `root`, or the first usual one with photographs, and its photographs in order of their names.

@@ -18,7 +18,7 @@ use std::{
     path::{Path, PathBuf},
 };
 use trimip_core::{
-    Error, Intrinsics, Lens, Result, geometry::projections::Model, plural::count, text::decoded,
+    Error, Intrinsics, Lens, Place, Result, geometry::projections::Model, plural::count, text::decoded,
 };
 
 /// The usual name of the file.
@@ -101,7 +101,8 @@ impl Export {
         let mut sensors = HashMap::new();
         for sensor in chunk.descendants().filter(|node| node.has_tag_name("sensor")) {
             let id = sensor.attribute("id").unwrap_or_default();
-            sensors.insert(id, Sensor { place: format!("{name}: sensor {id}"), node: sensor });
+            sensors
+                .insert(id, Sensor { place: Place::part(name, format_args!("sensor {id}")), node: sensor });
         }
         let (mut frames, mut unplaced, mut skewed) = (Vec::new(), 0, false);
         let mut calibrations: HashMap<&str, Intrinsics> = HashMap::new();
@@ -111,7 +112,7 @@ impl Export {
                 unplaced += 1;
                 continue;
             };
-            let place = format!("{name}: camera {label}");
+            let place = Place::part(name, format_args!("camera {label}"));
             let wrong = |what: String| Error::input(&place, what, ADVICE);
             let id = camera.attribute("sensor_id").unwrap_or_default();
             let intrinsics = match calibrations.get(id) {
@@ -154,7 +155,7 @@ impl Export {
 
 /// A sensor of a chunk.
 struct Sensor<'a> {
-    place: String,
+    place: Place,
     node: Node<'a, 'a>,
 }
 

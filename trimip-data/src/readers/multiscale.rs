@@ -18,7 +18,7 @@ use crate::{
 };
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Intrinsics, Result, config::Convention};
+use trimip_core::{Camera, Error, Intrinsics, Place, Result, config::Convention};
 
 pub(super) static READER: Reader = Reader {
     format: "multiscale",
@@ -95,7 +95,7 @@ impl OpenScene for Metadata {
                 "choose one of them for data.train and data.test",
             ));
         };
-        let table = Table::new(Node::new(format!("{}: {split}", self.path.display()), value)?)?;
+        let table = Table::new(Node::new(Place::part(&self.path, split), value)?)?;
         let indices: Vec<usize> = (0..table.paths.len()).collect();
         let levels = map_in_order(&indices, |_, &index| table.level(index))?;
         let wanted: Vec<usize> = indices.into_iter().filter(|&index| levels[index] < scales).collect();
@@ -127,7 +127,7 @@ pub(crate) fn cameras(path: &Path, bytes: &[u8]) -> Result<Vec<(String, Camera)>
     let mut cameras = Vec::new();
     for split in file.keys() {
         let Some(value) = file.get(split) else { continue };
-        let table = Table::new(Node::new(format!("{}: {split}", path.display()), value)?)?;
+        let table = Table::new(Node::new(Place::part(path, split), value)?)?;
         for index in 0..table.paths.len() {
             table.level(index)?;
             cameras.push((stem(table.named(index)?), table.camera(index)?));
@@ -168,8 +168,9 @@ impl<'a> Table<'a> {
     }
 
     /// The place of an entry, for errors.
-    fn place(&self, index: usize) -> String {
-        format!("{} entry {index} ({})", self.node.place, self.paths[index].as_str().unwrap_or("no path"))
+    fn place(&self, index: usize) -> Place {
+        let part = format!("entry {index} ({})", self.paths[index].as_str().unwrap_or("no path"));
+        self.node.place.within(part)
     }
 
     /// A number of an entry.
@@ -294,7 +295,7 @@ impl<'a> Table<'a> {
 }
 
 /// Groups entries into frames: entry k of every scale belongs to frame k.
-fn frames(place: &str, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
+fn frames(place: &Place, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
     let mut levels: Vec<u32> = entries.iter().map(|(level, _)| *level).collect();
     levels.sort_unstable();
     levels.dedup();

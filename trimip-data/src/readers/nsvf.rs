@@ -11,7 +11,7 @@ use crate::{
 };
 use glam::DMat3;
 use std::path::{Path, PathBuf};
-use trimip_core::{Aabb, Error, Lens, Result, scene_plan::StatedBox};
+use trimip_core::{Aabb, Error, Lens, Place, Result, scene_plan::StatedBox};
 
 /// Folder of the poses, and the file of the intrinsics.
 const POSES: &str = "pose";
@@ -86,7 +86,7 @@ fn camera(pose: &str, rows: &[Vec<f64>], intrinsics: &str, matrix: &[Vec<f64>]) 
 
 /// The frame of a pose file with the numbers `rows`; its photograph has the same name.
 fn frame(path: &Path, rows: &[Vec<f64>], calibration: Calibration) -> Result<Frame> {
-    let place = path.display().to_string();
+    let place = Place::from(path);
     let row = |i: usize| rows.get(i).and_then(|row| row.first_chunk()).copied();
     let [Some(a), Some(b), Some(c)] = [row(0), row(1), row(2)] else {
         return Err(Error::input(&place, "is not a 4x4 matrix", ADVICE));

@@ -18,7 +18,7 @@ use std::{
     collections::HashMap,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Intrinsics, Lens, Result, geometry::projections::Model, plural::count};
+use trimip_core::{Error, Intrinsics, Lens, Place, Result, geometry::projections::Model, plural::count};
 
 const FILE: &str = "reconstruction.json";
 
@@ -77,17 +77,18 @@ impl Reconstruction {
             let advice = "expected an array of reconstructions, as OpenSfM writes it";
             return Err(Error::input(path.display(), "holds no reconstruction", advice));
         };
-        let place = format!("{}: reconstruction {index}", path.display());
-        let node = Node::new(&place, best)?;
+        let place =
+            |part: std::fmt::Arguments<'_>| Place::part(path, format_args!("reconstruction {index}{part}"));
+        let node = Node::new(place(format_args!("")), best)?;
         let calibrations: HashMap<&str, Intrinsics> = entries(&node, "cameras")?
             .into_iter()
             .map(|(name, value)| {
-                let camera = Node::new(format!("{place}: camera {name}"), value)?;
+                let camera = Node::new(place(format_args!(": camera {name}")), value)?;
                 Ok((name, intrinsics(&camera)?))
             })
             .collect::<Result<_>>()?;
         let frame = |(name, value): (&str, &Value)| {
-            let shot = Node::new(format!("{place}: shot {name}"), value)?;
+            let shot = Node::new(place(format_args!(": shot {name}")), value)?;
             let camera = shot.required_text("camera")?;
             let calibration = *calibrations.get(camera).ok_or_else(|| {
                 Error::input(
@@ -113,7 +114,7 @@ impl Reconstruction {
             None => Vec::new(),
             Some(_) => entries(&node, "points")?
                 .into_iter()
-                .map(|(name, value)| point(&Node::new(format!("{place}: point {name}"), value)?))
+                .map(|(name, value)| point(&Node::new(place(format_args!(": point {name}")), value)?))
                 .collect::<Result<_>>()?,
         };
         let warnings = (all.len() > 1)

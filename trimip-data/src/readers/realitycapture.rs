@@ -17,7 +17,7 @@ use std::{
     io::Read,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Lens, Result, text::decoded};
+use trimip_core::{Error, Lens, Place, Result, text::decoded};
 
 /// The usual name of the file.
 const FILE: &str = "cameras.csv";
@@ -132,7 +132,7 @@ fn frames(name: &str, bytes: &[u8]) -> Result<Vec<Frame>> {
 
 /// The frame of a line.
 fn frame(name: &str, index: usize, line: &str, columns: &Columns) -> Result<Frame> {
-    let place = format!("{name}:{}", index + 1);
+    let place = Place::line(name, index + 1);
     let wrong = |what: String| Error::input(&place, what, ADVICE);
     let cells: Vec<&str> = line.split(columns.separator).map(|cell| cell.trim().trim_matches('"')).collect();
     if cells.len() != columns.count {
@@ -173,7 +173,7 @@ fn frame(name: &str, index: usize, line: &str, columns: &Columns) -> Result<Fram
     let lens = Lens::perspective([k1, k2, k3, k4], [t1, t2], [0.0; 3]);
     Ok(Frame {
         named: named.into(),
-        place: format!("{place} ({named})"),
+        place: place.within(format_args!("({named})")),
         rotation,
         origin: DVec3::new(x, y, alt),
         calibration: Calibration::Relative { focal: focal / SIDE, centre: [px, py], lens },

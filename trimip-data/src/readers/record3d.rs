@@ -18,7 +18,7 @@ use std::{
     collections::HashMap,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Intrinsics, Lens, Result, plural::count, text::decoded};
+use trimip_core::{Error, Intrinsics, Lens, Place, Result, plural::count, text::decoded};
 
 /// Names of the file.
 const FILES: [&str; 2] = ["metadata.json", "metadata"];
@@ -98,7 +98,7 @@ fn frames(path: &Path, document: &Value) -> Result<Vec<Frame>> {
     }
     let shared = if own.is_empty() { Some(matrix(&file)?) } else { None };
     let frame = |(index, value): (usize, &Value)| {
-        let place = format!("{}: pose {index}", file.place);
+        let place = Place::part(path, format_args!("pose {index}"));
         let wrong = |what: &str| Error::input(&place, what, ADVICE);
         let pose: [f64; 7] = numbers(value).ok_or_else(|| wrong("is not seven numbers"))?;
         let [x, y, z, w, ..] = pose;

@@ -70,8 +70,12 @@ fn failure(report: &Report, input: Input) -> Option<String> {
             }
             None
         }
-        (Err(error), Some(what)) if error.message.contains(what) && error.exit_code() == 2 => None,
-        (Err(error), _) => Some(format!("refused: {}", error.message)),
+        (Err(error), Some(what))
+            if error.message().contains(what) && error.kind() == trimip_core::ErrorKind::Input =>
+        {
+            None
+        }
+        (Err(error), _) => Some(format!("refused: {}", error.message())),
         (Ok(scene), Some(_)) => Some(format!("read: {:?}", scene.warnings)),
     }
 }

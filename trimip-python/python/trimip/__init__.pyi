@@ -17,6 +17,17 @@ Split = Literal["train", "test"]
 class Error(Exception):
     """Any error of trimip. Its text is one line: where, what, and what to do about it."""
 
+    place: str | None
+    """Where the fault is: a file, a frame, a setting, an argument. None for failures of a run or a device."""
+    path: Path | None
+    """The file of `place`, if it is in one."""
+    line: int | None
+    """The line of that file, from 1, if it is known."""
+    found: str
+    """What was found there."""
+    advice: str | None
+    """What to do about it."""
+
 class InputError(Error):
     """A file, a setting or an argument is wrong."""
 

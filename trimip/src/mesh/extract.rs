@@ -191,7 +191,7 @@ pub fn extract(
             }
         };
         return Err(Error::run(format!(
-            "the model has no surface of density {level:.3} that is larger than a speck{left_out}; try a lower --level"
+            "the model has no surface of density {level:.3} that is larger than a speck{left_out}; try a lower level"
         )));
     }
     mesh.find_normals();
@@ -464,7 +464,10 @@ mod tests {
         let crop = Crop::Ball { centre: [0.0; 3], radius: 1.0 };
         let what = Extraction { resolution: 16, level: Some(LEVEL), crop, ..Extraction::default() };
         let error = surface(|_| 1.0, &model, &what).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("ball 0,0,0,1"), "{error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains("ball 0,0,0,1"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -518,7 +521,7 @@ mod tests {
             &cameras[1..],
             &mut |_| true,
         );
-        assert!(error.unwrap_err().message.contains("fewer than 2 cameras see them"));
+        assert!(error.unwrap_err().message().contains("fewer than 2 cameras see them"));
     }
 
     #[test]
@@ -542,7 +545,7 @@ mod tests {
         let model = model(CENTRE, [1.0; 3]);
         let what = Extraction { resolution: 16, level: Some(LEVEL), ..Extraction::default() };
         let refused = |what: Extraction| surface(|_| -1.0, &model, &what).unwrap_err();
-        assert!(refused(what).message.contains("no surface of density 30"));
+        assert!(refused(what).message().contains("no surface of density 30"));
         for (bad, part) in [
             (Extraction { resolution: 4, ..what }, "8 to 2048"),
             (Extraction { resolution: 1 << 20, ..what }, "8 to 2048"),
@@ -553,7 +556,10 @@ mod tests {
             (Extraction { goal: Goal::Error(f64::NAN), ..what }, "error"),
         ] {
             let error = refused(bad);
-            assert!(error.exit_code() == 2 && error.message.contains(part), "{error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(part),
+                "{error}"
+            );
         }
         let mut calls = 0;
         let mut watch = |_| {

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use trimip_core::{
-    Error, ErrorKind, Result,
+    Error, Result,
     engine::exchange::{Ranks, fault},
     scene::fingerprint,
 };
@@ -34,7 +34,7 @@ pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
 #[derive(Serialize, Deserialize)]
 struct Done<T> {
     job: u64,
-    result: std::result::Result<T, (u8, String)>,
+    result: Result<T>,
 }
 
 /// The jobs and their results, on rank 0.
@@ -218,16 +218,7 @@ impl<T> JobQueue<'_, T> {
 fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result<T>)> {
     let Done { job, result } = serde_json::from_slice(bytes)
         .map_err(|error| Error::run(format!("a result of rank {rank} is not understood: {error}")))?;
-    Ok((job as usize, result.map_err(|told| error_of(rank, told))))
-}
-
-/// The error of another rank, from the exit code and the message that it sent.
-pub(super) fn error_of(rank: usize, (code, message): (u8, String)) -> Error {
-    let kind = [ErrorKind::Run, ErrorKind::Input, ErrorKind::Device]
-        .into_iter()
-        .find(|kind| kind.exit_code() == code)
-        .unwrap_or(ErrorKind::Run);
-    Error { kind, message: format!("rank {rank}: {message}") }
+    Ok((job as usize, result.map_err(|error| error.of_rank(rank))))
 }
 
 /// Does the jobs that rank 0 hands to this rank, until there are no more.
@@ -240,10 +231,7 @@ pub fn work_on_jobs<T: Serialize>(
     mut own: impl FnMut(usize) -> Result<T>,
 ) -> Result<()> {
     let (_, theirs) = ranks.receive()?;
-    let done = |job, result: Result<T>| {
-        let result = result.map_err(|error| (error.exit_code(), error.message));
-        serde_json::to_vec(&Done { job, result }).map_err(Error::run)
-    };
+    let done = |job, result: Result<T>| serde_json::to_vec(&Done { job, result }).map_err(Error::run);
     let answer = match theirs == what.as_bytes() {
         true => READY.to_vec(),
         false => done(

@@ -1,9 +1,6 @@
 //! The session through which rank 0 leads a training.
 
-use super::{
-    jobs::error_of,
-    orders::{Opened, Order, computes_with},
-};
+use super::orders::{Opened, Order, computes_with};
 use crate::{backends, machine};
 use std::sync::Arc;
 use trimip_core::{
@@ -35,7 +32,7 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     for _ in 1..ranks.rank().size {
         let (rank, answer) = ranks.receive()?;
         let opened: Opened = serde_json::from_slice(&answer).map_err(Error::run)?;
-        refused = refused.or(opened.err().map(|told| error_of(rank, told)));
+        refused = refused.or(opened.err().map(|error| error.of_rank(rank)));
     }
     refused.map_or(Ok(lead), Err)
 }

@@ -42,8 +42,8 @@ pub fn follow(
         match Order::await_from(&**ranks)? {
             Order::Train { version, config, data, computes } => {
                 let session = open(ranks, &version, &config, data, &computes, tell);
-                let told = session.as_ref().map(drop).map_err(|error| (error.exit_code(), &error.message));
-                ranks.send(0, &serde_json::to_vec(&told).map_err(Error::run)?)?;
+                let answer = session.as_ref().map(drop);
+                ranks.send(0, &serde_json::to_vec(&answer).map_err(Error::run)?)?;
                 follow_training(ranks, session.ok())?;
             }
             Order::Jobs { version } => {
@@ -138,7 +138,7 @@ fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) ->
         };
         match done {
             // All ranks have the same sums, so a step fails on all of them or on none, and rank 0 reports the failure.
-            Err(error) if error.kind == ErrorKind::Device => return Err(error),
+            Err(error) if error.kind() == ErrorKind::Device => return Err(error),
             Err(_) | Ok(()) => {}
         }
     }

@@ -25,8 +25,8 @@ pub enum Order {
     Quit,
 }
 
-/// Answer of a rank to the order to train: nothing, or the exit code and the message of the error that prevents it.
-pub type Opened = std::result::Result<(), (u8, String)>;
+/// Answer of a rank to the order to train: nothing, or the error that prevents it.
+pub type Opened = Result<()>;
 
 impl Order {
     /// Gives the order to every other rank.

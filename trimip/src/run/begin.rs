@@ -3,7 +3,7 @@
 use super::{folder::RunFolder, history::Evaluation, history::History, store::FileStore};
 use crate::formatting;
 use trimip_core::{
-    Config, Error, Result, Settings,
+    Advice, Config, Error, Result, Settings,
     config::TrainConfig,
     engine::{
         checkpoint::Checkpoint,
@@ -55,7 +55,7 @@ impl Beginning {
             return Err(Error::input(
                 folder.root().display(),
                 format!("its run is not finished ({:.0} %)", 100.0 * progress(&checkpoint.config, &totals)),
-                "finish it first: leave --continue-for out, and give the folder or configuration that it was begun with",
+                Advice::Argument("finish it first: leave {continue-for} out, and give the folder or configuration that it was begun with".into()),
             ));
         }
         let mut settings = crate::settings::defaults();

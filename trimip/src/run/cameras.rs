@@ -60,6 +60,6 @@ mod tests {
             "it may be of another run"
         );
         std::fs::write(RunFolder::new(here).cameras(), "{").unwrap();
-        assert_eq!(training_cameras(here, origin).unwrap_err().exit_code(), 2);
+        assert_eq!(training_cameras(here, origin).unwrap_err().kind(), trimip_core::ErrorKind::Input);
     }
 }

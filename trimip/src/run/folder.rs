@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use trimip_core::{
-    Config, Error, Result,
+    Advice, Config, Error, Result,
     atomic::{temporary, write_atomically},
     engine::{checkpoint::Checkpoint, events::Event},
     field::model::Model,
@@ -95,7 +95,7 @@ impl RunFolder {
         let Ok(bytes) = std::fs::read(self.plan()) else { return Ok(None) };
         serde_json::from_slice(&bytes)
             .map(Some)
-            .map_err(|error| Error::input(self.plan().display(), error, "give --fresh to start the run anew"))
+            .map_err(|error| Error::input(self.plan().display(), error, Advice::StartOver))
     }
 
     /// Writes the decisions of the scene plan.
@@ -178,7 +178,7 @@ impl RunFolder {
             return Err(Error::input(
                 self.model().display(),
                 "a model without the checkpoint of its run",
-                "choose another --out folder, or --fresh to replace it",
+                Advice::AnyOf(vec![Advice::OtherFolder, Advice::StartOver]),
             ));
         }
         Ok(None)
@@ -193,17 +193,15 @@ impl RunFolder {
             return Ok(());
         }
         let budget = |text: &String| text.starts_with("train.seconds") || text.starts_with("train.steps");
-        let longer = match differences.iter().all(budget) {
-            true => ", --continue-for 5m to train a finished one longer",
-            false => "",
-        };
+        let mut advice = vec!["give the same settings to resume it".into()];
+        if differences.iter().all(budget) {
+            advice.push(Advice::Argument("{continue-for} 5m to train a finished run longer".into()));
+        }
+        advice.extend([Advice::StartOver, Advice::OtherFolder]);
         Err(Error::input(
             self.root.display(),
             format!("holds a run with other settings ({})", differences.join(", ")),
-            format!(
-                "give the same settings to go on with it{longer}, --fresh to replace it, or another --out folder to \
-                 keep both"
-            ),
+            Advice::AnyOf(advice),
         ))
     }
 
@@ -223,7 +221,7 @@ impl RunFolder {
                     return Err(Error::input(
                         path.display(),
                         format!("cannot remove: {error}"),
-                        "choose another --out folder",
+                        Advice::OtherFolder,
                     ));
                 }
                 _ => {}
@@ -268,7 +266,7 @@ impl RunFolder {
         Err(Error::input(
             given.display(),
             "the run would write its effective settings over this file",
-            "choose another --out folder, or another name for the file",
+            Advice::AnyOf(vec![Advice::OtherFolder, "choose another name for the file".into()]),
         ))
     }
 
@@ -288,9 +286,10 @@ impl RunFolder {
             text.push('\n');
         }
         write_atomically(&self.metrics(), text.as_bytes())?;
-        File::options().append(true).open(self.metrics()).map_err(|error| {
-            Error::input(self.metrics().display(), error, "choose a folder that can be written with --out")
-        })
+        File::options()
+            .append(true)
+            .open(self.metrics())
+            .map_err(|error| Error::input(self.metrics().display(), error, Advice::OtherFolder))
     }
 }
 
@@ -434,7 +433,11 @@ mod tests {
 
         std::fs::write(folder.config(), "seed = 1").unwrap();
         let error = folder.spare(&folder.config()).unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("--out"), "{}", error.message);
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.advice() == Some(&Advice::OtherFolder),
+            "{}",
+            error.message()
+        );
         assert!(folder.spare(&folder.root().join("other.toml")).is_ok());
         drop(folder.restart_events(&[evaluation(10, 1, false, 20.0)]).unwrap());
         assert!(folder.spare(&folder.config()).is_ok(), "a run wrote it");
@@ -468,7 +471,9 @@ mod tests {
         let other = Config { seed: 1, ..config };
         let error = folder.resume_point(&other).unwrap_err();
         assert!(
-            error.exit_code() == 2 && error.message.contains("seed") && error.message.contains("--fresh")
+            error.kind() == trimip_core::ErrorKind::Input
+                && error.message().contains("seed")
+                && error.message().contains("start the run over")
         );
         assert!(folder.checkpoint().exists());
         folder.clear().unwrap();
@@ -480,6 +485,9 @@ mod tests {
         let temporary = tempfile::tempdir().unwrap();
         let file = temporary.path().join("file");
         std::fs::write(&file, "x").unwrap();
-        assert_eq!(RunFolder::new(&file.join("run")).prepare().unwrap_err().exit_code(), 2);
+        assert_eq!(
+            RunFolder::new(&file.join("run")).prepare().unwrap_err().kind(),
+            trimip_core::ErrorKind::Input
+        );
     }
 }

@@ -7,7 +7,7 @@ use std::fs::{File, TryLockError};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use trimip_core::{
-    Error, Result,
+    Advice, Error, Result,
     engine::{checkpoint::FORMAT, events::Event},
 };
 
@@ -40,7 +40,7 @@ impl RunFolder {
         Err(Error::input(
             format!("{}{more}", first.display()),
             "no run wrote this folder, and a run would replace what is there",
-            "choose another --out folder, or move these files away",
+            Advice::AnyOf(vec![Advice::OtherFolder, "move these files away".into()]),
         ))
     }
 
@@ -51,9 +51,11 @@ impl RunFolder {
     pub fn lock(&self) -> Result<Lock> {
         let path = self.root().join("run.lock");
         loop {
-            let file = File::options().create(true).append(true).open(&path).map_err(|error| {
-                Error::input(path.display(), error, "choose a folder that can be written with --out")
-            })?;
+            let file = File::options()
+                .create(true)
+                .append(true)
+                .open(&path)
+                .map_err(|error| Error::input(path.display(), error, Advice::OtherFolder))?;
             match file.try_lock() {
                 Ok(()) if is_at(&file, &path) => return Ok(Lock { path, _file: file }),
                 // The previous holder has removed its file meanwhile, so this lock is on a deleted file: try again.
@@ -62,7 +64,10 @@ impl RunFolder {
                     return Err(Error::input(
                         self.root().display(),
                         "another process works on this run",
-                        "wait until it has ended, stop it, or choose another --out folder",
+                        Advice::AnyOf(vec![
+                            "wait until it has ended, or stop it".into(),
+                            Advice::OtherFolder,
+                        ]),
                     ));
                 }
                 // A file system without locks cannot exclude other processes.
@@ -143,9 +148,10 @@ mod tests {
         for path in folder.files().into_iter().chain([picture]) {
             std::fs::write(&path, "mine").unwrap();
             let error = folder.expect_no_others().unwrap_err();
-            assert_eq!(error.exit_code(), 2);
+            assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
             assert!(
-                error.message.contains(&path.display().to_string()) && error.message.contains("--out"),
+                error.message().contains(&path.display().to_string())
+                    && error.message().contains("choose another folder"),
                 "{error}"
             );
             std::fs::remove_file(&path).unwrap();
@@ -178,7 +184,10 @@ mod tests {
         let (_keep, folder) = folder();
         let lock = folder.lock().unwrap();
         let error = folder.lock().unwrap_err();
-        assert!(error.exit_code() == 2 && error.message.contains("another process"), "{error}");
+        assert!(
+            error.kind() == trimip_core::ErrorKind::Input && error.message().contains("another process"),
+            "{error}"
+        );
         drop(lock);
         drop(folder.lock().unwrap());
         assert_eq!(std::fs::read_dir(folder.root()).unwrap().count(), 0);

@@ -24,7 +24,7 @@ pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<O
     let there = Memory { own: with(memory::own_memory()), common: with(memory::common_memory()) };
     match (shortage(config, parts, ranks, there), config.memory) {
         (Some(error), MemoryChoice::Refuse) => Err(error),
-        (shortage, _) => Ok(shortage.map(|error| error.message)),
+        (shortage, _) => Ok(shortage.map(|error| error.message())),
     }
 }
 
@@ -103,17 +103,20 @@ mod tests {
             let there = Memory { own: u64::MAX, common: 2_000_000_000 };
             assert!(shortage(&config, &parts(&config), 1, there).is_none(), "the defaults fit");
             let error = shortage(&config, &parts(&config), 8, there).expect("eight times as much");
-            assert!(error.message.contains("fewer ranks"), "{error}");
+            assert!(error.message().contains("fewer ranks"), "{error}");
             change(&mut config);
             let there = Memory { own: u64::MAX, common: 600_000_000 };
             let error = shortage(&config, &parts(&config), 1, there).expect(setting);
-            assert!(error.exit_code() == 2 && error.message.contains(setting), "{setting}: {error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(setting),
+                "{setting}: {error}"
+            );
             // The ranks do not share a limit per process.
             let own = Memory { own: 600_000_000, common: u64::MAX };
             let error = shortage(&config, &parts(&config), 8, own).expect(setting);
-            assert!(error.message.contains("this process may have"), "{error}");
+            assert!(error.message().contains("this process may have"), "{error}");
             assert!(
-                !error.message.contains("--out") && error.message.contains("memory = \"warn\""),
+                !error.message().contains("--out") && error.message().contains("memory = \"warn\""),
                 "{error}"
             );
         }

@@ -57,7 +57,7 @@ impl Recorded {
         let status = match &trained.outcome {
             Ok(Ended::Stopped) => Status::Stopped,
             Ok(Ended::Finished | Ended::Before) => judged(trained.judge()),
-            Err(error) => Status::Failed(error.message.clone()),
+            Err(error) => Status::Failed(error.message().clone()),
         };
         Self {
             folder: trained.folder.clone(),
@@ -106,5 +106,5 @@ fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
 
 /// The state of a finished run, from the judgement of its quality.
 fn judged(judgement: Result<()>) -> Status {
-    judgement.map_or_else(|error| Status::Failed(error.message), |()| Status::Finished)
+    judgement.map_or_else(|error| Status::Failed(error.message()), |()| Status::Finished)
 }

@@ -23,7 +23,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 use trimip_core::{
-    Config, Error, Result, Settings,
+    Advice, Config, Error, Result, Settings,
     atomic::write_atomically,
     engine::{
         events::{Event, EventSink, Totals},
@@ -142,7 +142,7 @@ fn expect_photographs(
     Err(Error::input(
         folder.root().display(),
         format!("holds a run of other photographs: {difference}"),
-        "give --out for a folder of its own, or --fresh to replace that run",
+        Advice::AnyOf(vec![Advice::OtherFolder, Advice::StartOver]),
     ))
 }
 
@@ -257,7 +257,10 @@ impl Training {
                     return Err(Error::input(
                         folder.root().display(),
                         "holds no run to go on with",
-                        "name the folder of the run with --out, or leave --continue-for out to train one",
+                        Advice::Argument(
+                            "name the folder of the run with {out}, or leave {continue-for} out to train one"
+                                .into(),
+                        ),
                     ));
                 }
                 let held = folder.lock()?;

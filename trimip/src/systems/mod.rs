@@ -262,7 +262,7 @@ mod tests {
         files.sort();
         names.sort();
         assert_eq!(files, names);
-        assert_eq!(find("nerf").unwrap_err().exit_code(), 2);
+        assert_eq!(find("nerf").unwrap_err().kind(), trimip_core::ErrorKind::Input);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use glam::{DMat3, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, scene::origin::LocalOrigin, text};
+use trimip_core::{Advice, Camera, Error, Intrinsics, Lens, Place, Result, scene::origin::LocalOrigin, text};
 
 /// Largest width or height of a rendered picture, pixels.
 pub const MAX_SIDE: f64 = 16_384.0;
@@ -17,13 +17,19 @@ pub type Named = (String, Camera);
 ///
 /// # Errors
 /// When the line of sight is parallel to `up`, so the camera's roll is undefined; `place` appears in the message.
-pub fn aimed(place: &str, eye: DVec3, target: DVec3, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
+pub fn aimed(
+    place: impl Into<Place>,
+    eye: DVec3,
+    target: DVec3,
+    up: DVec3,
+    intrinsics: Intrinsics,
+) -> Result<Camera> {
     let back = eye - target;
     if up.cross(back).length() <= 1e-9 * up.length() * back.length() {
         return Err(Error::input(
             place,
-            "the camera looks along --up, or stands on its target",
-            "choose another --up, such as --up 0,1,0",
+            "the camera looks along its up axis, or stands on its target",
+            Advice::Argument("choose another {up}, such as {up} 0,1,0".into()),
         ));
     }
     Ok(Camera::look_at(intrinsics, eye, target, up))
@@ -45,10 +51,11 @@ pub fn flatten(json: &Value) -> Option<Vec<f64>> {
 ///
 /// # Errors
 /// When there are not 12 or 16 finite numbers with a rotation; `place` appears in the message.
-pub fn posed(place: &str, matrix: &[f64], intrinsics: Intrinsics) -> Result<Camera> {
+pub fn posed(place: impl Into<Place>, matrix: &[f64], intrinsics: Intrinsics) -> Result<Camera> {
+    let place = place.into();
     let refuse = |what: String| {
         Err(Error::input(
-            place,
+            &place,
             what,
             "expected a camera-to-world matrix [R|t] with a rotation R, OpenGL axes",
         ))
@@ -112,7 +119,7 @@ pub fn path_of(place: &str, text: &str, fallback: Intrinsics) -> Result<Vec<Name
     };
     let mut cameras = Vec::new();
     for (i, frame) in frames.iter().enumerate() {
-        let place = format!("{place}: frames[{i}]");
+        let place = Place::part(place, format_args!("frames[{i}]"));
         let own = Projection::deserialize(frame).map_err(broken)?;
         let Some(matrix) = frame.get("transform_matrix").and_then(flatten) else {
             return Err(Error::input(place, "no `transform_matrix`", "add a 4×4 camera-to-world matrix"));
@@ -131,7 +138,13 @@ fn extent(node: &Value, lens: Lens) -> Option<f64> {
     node.get(lens.model.definition().extent_key?)?.as_f64()
 }
 
-fn projected(place: &str, own: Stated, head: Stated, lens: Lens, fallback: Intrinsics) -> Result<Intrinsics> {
+fn projected(
+    place: &Place,
+    own: Stated,
+    head: Stated,
+    lens: Lens,
+    fallback: Intrinsics,
+) -> Result<Intrinsics> {
     let definition = lens.model.definition();
     let pick = |f: fn(&Projection) -> Option<f64>| f(&own.projection).or(f(&head.projection));
     let width = pick(|p| p.w).unwrap_or(fallback.width.into());
@@ -171,7 +184,7 @@ pub fn resized(k: Intrinsics, factor: f64) -> Result<Intrinsics> {
     let (width, height) = (side(k.width), side(k.height));
     if !(factor.is_finite() && factor > 0.0 && width <= MAX_SIDE && height <= MAX_SIDE) {
         return Err(Error::input(
-            format!("--scale {factor}"),
+            Place::argument("scale", factor),
             "out of range",
             "expected a number above 0 that keeps the pictures within 16384 pixels",
         ));
@@ -219,7 +232,9 @@ mod tests {
         assert_eq!((first.fx, first.fy), (120.0, 110.0));
         assert!((last.fx - 50.0).abs() < 1e-9 && last.fy == last.fx, "{last:?}");
         std::fs::write(&file, "{\"frames\": [{\"transform_matrix\": [1]}]}").unwrap();
-        assert!(path(&file, intrinsics(), LocalOrigin::default()).unwrap_err().message.contains("frames[0]"));
+        assert!(
+            path(&file, intrinsics(), LocalOrigin::default()).unwrap_err().message().contains("frames[0]")
+        );
     }
 
     #[test]

@@ -8,7 +8,8 @@ use super::{
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use trimip_core::{
-    Camera, Error, Frame, Result, atomic::write_atomically, config::SceneConfig, scene::origin::LocalOrigin,
+    Advice, Camera, Error, Frame, Result, atomic::write_atomically, config::SceneConfig,
+    scene::origin::LocalOrigin,
 };
 
 /// File format of rendered views.
@@ -153,7 +154,7 @@ pub fn expect_no_others(
         Some(path) => Err(Error::input(
             path.display(),
             "would be replaced, and no rendering wrote it",
-            "choose another --out folder, or move this file away",
+            Advice::AnyOf(vec![Advice::OtherFolder, "move this file away".into()]),
         )),
     }
 }
@@ -255,7 +256,10 @@ mod tests {
             check().unwrap();
             std::fs::write(here.join(name), "{\"frames\": []}").unwrap();
             let error = check().unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains(name), "{error}");
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(name),
+                "{error}"
+            );
             std::fs::remove_file(here.join(name)).unwrap();
         }
         std::fs::write(here.join("b_color.png"), "mine").unwrap();

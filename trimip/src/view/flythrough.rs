@@ -2,7 +2,7 @@
 
 use super::cameras::Named;
 use glam::{DMat3, DVec3};
-use trimip_core::{Camera, Error, Intrinsics, Result};
+use trimip_core::{Advice, Camera, Error, Intrinsics, Place, Result};
 
 /// Standard deviation of the smoothing, in mean distances between neighbouring cameras.
 const SMOOTH: f64 = 1.0;
@@ -23,7 +23,8 @@ const NO_LOOK: f64 = 1e-6;
 pub fn cameras(photographed: &[Camera], count: u32, radius: f64) -> Result<Vec<Named>> {
     let refuse = || {
         let what = format!("the training split has {} different cameras", photographed.len().min(1));
-        Error::input("--flythrough", what, "use --turntable or --path")
+        let advice = Advice::Argument("use {turntable} or {path}".into());
+        Error::input(Place::option("flythrough"), what, advice)
     };
     let along = ordered(photographed, radius);
     let (Some(first), Some(last)) = (along.first(), places(&along, radius).pop()) else {
@@ -170,8 +171,8 @@ mod tests {
     #[test]
     fn cameras_at_one_place_make_no_film() {
         let error = cameras(&[on_circle(0.0); 3], 10, 4.0).unwrap_err();
-        assert_eq!(error.exit_code(), 2);
-        assert!(error.message.contains("--turntable"), "{error}");
+        assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
+        assert!(error.message().contains("turntable"), "{error}");
         assert!(cameras(&[], 10, 4.0).is_err());
         // A camera that turns without moving makes a film.
         let turned =

@@ -5,7 +5,7 @@ use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::{collections::BTreeSet, fs};
-use trimip_core::{Error, Result, atomic::write_atomically, field::model::Model, scene::fingerprint};
+use trimip_core::{Advice, Error, Result, atomic::write_atomically, field::model::Model, scene::fingerprint};
 
 /// File of a folder that lists its finished views: the first line names the job, each other line a view.
 const LIST: &str = "views.txt";
@@ -58,7 +58,7 @@ impl RenderJob {
                 return Err(Error::input(
                     path.display(),
                     "is not a list of rendered views",
-                    "choose another --out folder",
+                    Advice::OtherFolder,
                 ));
             }
             _ => write_atomically(&path, head.as_bytes())?,
@@ -176,7 +176,7 @@ mod tests {
         assert!(["0000", "0001"].iter().all(|name| job.finished(name).is_some()));
         fs::write(here.join(LIST), "milk\neggs\n").unwrap();
         let refused = RenderJob::open(here, &model(1), &cameras(4.0), COLOR, PictureFormat::Png, true);
-        assert!(refused.is_err_and(|error| error.message.contains("not a list of rendered views")));
+        assert!(refused.is_err_and(|error| error.message().contains("not a list of rendered views")));
         assert_eq!(fs::read_to_string(here.join(LIST)).unwrap(), "milk\neggs\n");
     }
 

@@ -179,9 +179,9 @@ mod tests {
             (&one_sided, "for equal pictures"),
         ] {
             let error = open(bytes).err().unwrap_or_else(|| panic!("{what}: accepted"));
-            assert_eq!(error.exit_code(), 2, "{error}");
+            assert_eq!(error.kind(), trimip_core::ErrorKind::Input, "{error}");
             for part in [what, "net.onnx", "tools/lpips_onnx.py"] {
-                assert!(error.message.contains(part), "{part}: {error}");
+                assert!(error.message().contains(part), "{part}: {error}");
             }
         }
     }

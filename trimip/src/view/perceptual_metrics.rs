@@ -34,7 +34,7 @@ impl PerceptualMetrics {
                 return Err(trimip_core::Error::input(
                     format!("eval.lpips = \"{}\"", eval.lpips),
                     "this build has no LPIPS",
-                    "build with --features lpips, or set eval.lpips=\"\" to do without it",
+                    "build with the feature `lpips`, or set eval.lpips = \"\" to do without it",
                 ));
             }
             Ok(Self {})
@@ -100,9 +100,9 @@ mod tests {
     fn a_file_that_is_not_there_is_refused_with_what_to_do() {
         let eval = EvalConfig { lpips: "nowhere.onnx".into(), ..trimip_core::Config::default().eval };
         let error = PerceptualMetrics::open(&eval).err().expect("there is no such file");
-        assert_eq!(error.exit_code(), 2);
+        assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
         assert!(
-            error.message.contains("nowhere.onnx") && error.message.contains("eval.lpips=\"\""),
+            error.message().contains("nowhere.onnx") && error.message().contains("eval.lpips=\"\""),
             "{error}"
         );
     }

@@ -4,6 +4,8 @@
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, RgbImage, imageops};
 use std::io::Cursor;
 use std::path::Path;
+#[cfg(not(feature = "exr"))]
+use trimip_core::Advice;
 use trimip_core::{Error, Frame, Result, atomic::write_atomically};
 
 /// Gain of the absolute difference in comparisons: 1/4 of the range is shown at full brightness.
@@ -188,7 +190,7 @@ pub fn write_exr(
     Err(Error::input(
         path.display(),
         "this build has no EXR",
-        "use --format png, or build with feature `exr`",
+        Advice::Argument("use {format} png, or build with feature `exr`".into()),
     ))
 }
 

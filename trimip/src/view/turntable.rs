@@ -4,7 +4,7 @@
 use super::cameras::{Named, aimed};
 use glam::{DMat3, DVec3};
 use trimip_core::{
-    Error, Intrinsics, Result,
+    Advice, Error, Intrinsics, Place, Result,
     config::{Contraction, SceneConfig},
 };
 
@@ -43,7 +43,7 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
     let axis = table.up.normalize_or_zero();
     if axis == DVec3::ZERO {
         return Err(Error::input(
-            format!("--up {}", table.up),
+            Place::argument("up", table.up),
             "has no direction",
             "expected x,y,z that are not all 0, such as 0,0,1",
         ));
@@ -51,7 +51,7 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
     // The negated comparison also refuses NaN.
     if !(table.elevation.abs() <= 89.999) {
         return Err(Error::input(
-            format!("--elevation {}", table.elevation),
+            Place::argument("elevation", table.elevation),
             "has no upright view",
             "expected degrees from -89.999 to 89.999",
         ));
@@ -66,17 +66,17 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
         })
         .collect();
     let distance = match table.distance {
-        Some(given) => within(given, half, format!("--distance {given}"))?,
+        Some(given) => within(given, half, Place::argument("distance", given))?,
         // Contracted space is a ball about as wide as the circle of the cameras.
         None if scene.contraction == Contraction::Ball => half.x,
         None => {
             let fitted =
                 outwards.iter().map(|&back| fitted(half, back, axis, &intrinsics)).fold(0.0, f64::max);
-            within(fitted, half, format!("--turntable at distance {fitted}"))?
+            within(fitted, half, Place::argument("turntable", format!("at distance {fitted}")))?
         }
     };
-    let place = "--turntable";
-    let camera = |back: &DVec3| aimed(place, centre + distance * *back, centre, axis, intrinsics);
+    let camera =
+        |back: &DVec3| aimed(Place::option("turntable"), centre + distance * *back, centre, axis, intrinsics);
     outwards.iter().enumerate().map(|(i, back)| Ok((format!("{i:04}"), camera(back)?))).collect()
 }
 
@@ -86,13 +86,15 @@ pub fn middle(scene: &SceneConfig) -> (DVec3, DVec3) {
     (subject.centre().into(), subject.half().into())
 }
 
-fn within(distance: f64, half: DVec3, place: String) -> Result<f64> {
+fn within(distance: f64, half: DVec3, place: Place) -> Result<f64> {
     if distance > 0.0 && distance <= FARTHEST * half.length() {
         return Ok(distance);
     }
-    let expected =
-        format!("expected above 0 and at most {:e}; --distance and --fov decide", FARTHEST * half.length());
-    Err(Error::input(place, "is out of range", expected))
+    let expected = format!(
+        "expected above 0 and at most {:e}; {{distance}} and {{fov}} decide",
+        FARTHEST * half.length()
+    );
+    Err(Error::input(place, "is out of range", Advice::Argument(expected)))
 }
 
 /// The minimum distance d along `back` from which all corners of a box with these half extents lie within the picture.
@@ -186,15 +188,19 @@ mod tests {
             assert!((to_centre.normalize() + camera.rotation.z_axis).length() < 1e-9);
         }
         for (table, word) in [
-            (table(90.0, None, DVec3::Z), "--elevation 90"),
-            (table(f64::NAN, None, DVec3::Z), "--elevation NaN"),
-            (table(0.0, None, DVec3::ZERO), "--up"),
-            (table(0.0, Some(0.0), DVec3::Z), "--distance 0"),
-            (table(0.0, Some(f64::NAN), DVec3::Z), "--distance NaN"),
-            (table(0.0, Some(1e300), DVec3::Z), "--distance 1"),
+            (table(90.0, None, DVec3::Z), "elevation 90"),
+            (table(f64::NAN, None, DVec3::Z), "elevation NaN"),
+            (table(0.0, None, DVec3::ZERO), "up "),
+            (table(0.0, Some(0.0), DVec3::Z), "distance 0"),
+            (table(0.0, Some(f64::NAN), DVec3::Z), "distance NaN"),
+            (table(0.0, Some(1e300), DVec3::Z), "distance 1"),
         ] {
             let error = cameras(&scene, &table, k).unwrap_err();
-            assert!(error.exit_code() == 2 && error.message.contains(word), "{}", error.message);
+            assert!(
+                error.kind() == trimip_core::ErrorKind::Input && error.message().contains(word),
+                "{}",
+                error.message()
+            );
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use trimip_core::{Error, Result};
+use trimip_core::{Advice, Error, Place, Result};
 
 /// Supported extensions of file names.
 const ENDINGS: [&str; 4] = ["mp4", "mov", "mkv", "webm"];
@@ -19,16 +19,20 @@ pub fn check(path: &Path) -> Result<()> {
     let end = path.extension().map(|end| end.to_string_lossy().to_lowercase());
     if !end.is_some_and(|end| ENDINGS.contains(&end.as_str())) {
         let expected = format!("end it in .{}", ENDINGS.join(", ."));
-        return Err(Error::input(format!("--video {}", path.display()), "names no video format", expected));
+        return Err(Error::input(
+            Place::argument("video", path.display()),
+            "names no video format",
+            expected,
+        ));
     }
     let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
     if found.is_ok_and(|status| status.success()) {
         return Ok(());
     }
     Err(Error::input(
-        format!("--video {}", path.display()),
+        Place::argument("video", path.display()),
         "no program `ffmpeg` runs on this machine",
-        "install it, or leave --video out and encode the pictures elsewhere",
+        Advice::Argument("install it, or leave {video} out and encode the pictures elsewhere".into()),
     ))
 }
 

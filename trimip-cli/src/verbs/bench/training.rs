@@ -301,7 +301,7 @@ mod tests {
             arguments(&[], &["field.hidden"]),
             arguments(&["a: seed=1", "A: seed=2"], &[]),
         ] {
-            assert_eq!(variants(&broken).unwrap_err().exit_code(), 2);
+            assert_eq!(variants(&broken).unwrap_err().kind(), trimip_core::ErrorKind::Input);
         }
     }
 

@@ -119,9 +119,9 @@ fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
 
 /// The status and the figures of a training that has ended.
 fn concluded(trained: Result<Trained>, style: ProgressStyle) -> (Status, Option<Figures>) {
-    let failed = |error: Error| match error.kind {
+    let failed = |error: Error| match error.kind() {
         ErrorKind::Stopped => Status::Stopped,
-        _ => Status::Failed(error.message),
+        _ => Status::Failed(error.message()),
     };
     match trained {
         Err(error) => (failed(error), None),

@@ -1,22 +1,22 @@
 //! Refusal of settings: errors that name the place where a setting was set, and what is expected.
 
-use crate::{Error, Result};
+use crate::{Advice, Error, Place, Result};
 
 /// Refuses settings by their dotted path.
 pub struct Checker<'a> {
-    place: &'a dyn Fn(&str) -> String,
+    place: &'a dyn Fn(&str) -> Place,
     given: &'a dyn Fn(&str) -> bool,
 }
 
 impl<'a> Checker<'a> {
-    /// `place` turns a dotted path into the place where its value was set, as text for an error; `given` is false for
+    /// `place` turns a dotted path into the place where its value was set; `given` is false for
     /// settings that have their defaults.
-    pub fn new(place: &'a dyn Fn(&str) -> String, given: &'a dyn Fn(&str) -> bool) -> Self {
+    pub fn new(place: &'a dyn Fn(&str) -> Place, given: &'a dyn Fn(&str) -> bool) -> Self {
         Self { place, given }
     }
 
     /// Returns the place where the value of a dotted path was set.
-    pub fn place(&self, path: &str) -> String {
+    pub fn place(&self, path: &str) -> Place {
         (self.place)(path)
     }
 
@@ -32,7 +32,7 @@ impl<'a> Checker<'a> {
     pub fn check(&self, ok: bool, path: &str, expected: &str) -> Result<()> {
         match ok {
             true => Ok(()),
-            false => Err(Error::input((self.place)(path), "out of range", format!("expected {expected}"))),
+            false => Err(Error::input((self.place)(path), "out of range", Advice::Expected(expected.into()))),
         }
     }
 

@@ -47,9 +47,9 @@ mod tests {
             let [(section, old_key), (_, new_key)] = [old, new].map(|path| path.split_once('.').unwrap());
             let text = format!("[{section}]\n{new_key} = 1\n{old_key} = 1\n");
             let error = Settings::defaults().apply_file("both.toml", &text).unwrap_err();
-            assert_eq!(error.exit_code(), 2);
+            assert_eq!(error.kind(), crate::ErrorKind::Input);
             for part in ["both.toml:3:1", old, new] {
-                assert!(error.message.contains(part), "{part} in {error}");
+                assert!(error.message().contains(part), "{part} in {error}");
             }
         }
     }

@@ -5,7 +5,7 @@ use super::checker::Checker;
 use super::text::parts_of;
 use super::values::{fit, shown};
 use crate::config::defaults::{ForeignSection, Fragment, definitions_of};
-use crate::{Error, Result};
+use crate::{Advice, Error, Place, Result};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use toml::{Table, Value};
@@ -67,7 +67,11 @@ pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
         let (_, key) = parts_of(&path);
         let value = match table.remove(key) {
             Some(value) => fit(&definition.default, value).map_err(|(found, expected)| {
-                Error::input(to.place(&path), format!("`{path}` is {found}"), format!("expected {expected}"))
+                Error::input(
+                    to.place(&path),
+                    format!("`{path}` is {found}"),
+                    Advice::Expected(expected.to_string()),
+                )
             })?,
             None => definition.default,
         };
@@ -89,11 +93,11 @@ pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
 pub(crate) fn mistyped(error: &toml::de::Error, paths: &[String], to: &Checker<'_>) -> Error {
     let text = error.to_string();
     let place = paths.iter().find(|path| text.contains(&format!("`{path}`")));
-    let place = place.map_or("configuration".to_string(), |path| to.place(path));
-    Error::input(place, error.message(), "see its meaning in `trimip-cli config --defaults`")
+    let place = place.map_or("configuration".into(), |path| to.place(path));
+    Error::input(place, error.message(), "see its meaning in the table of settings")
 }
 
-/// Place of a value of a configuration in memory, as text for an error.
-pub(crate) fn in_memory(path: &str, value: Option<&Value>) -> String {
-    value.map_or(path.to_string(), |value| format!("configuration: {path} = {}", shown(value)))
+/// Place of a value of a configuration in memory, for an error.
+pub(crate) fn in_memory(path: &str, value: Option<&Value>) -> Place {
+    value.map_or(path.into(), |value| format!("configuration: {path} = {}", shown(value)).into())
 }

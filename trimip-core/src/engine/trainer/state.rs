@@ -2,7 +2,7 @@
 
 use super::{Trainer, sums::Arrival, sums::Pending};
 use crate::{
-    Backend, Error, Optimizer, Renderer, Result,
+    Advice, Backend, Error, Optimizer, Renderer, Result,
     config::FilePrecision,
     engine::{
         backend::{Loss, Occupancy, Sampler},
@@ -77,7 +77,7 @@ impl<B: Backend> Trainer<B> {
             return Err(Error::input(
                 "training photographs",
                 format!("not those that the run was begun with: {difference}"),
-                "bring them back, give --fresh to start the run anew, or another --out folder to keep both",
+                Advice::AnyOf(vec!["bring them back".into(), Advice::StartOver, Advice::OtherFolder]),
             ));
         }
         let densities = checkpoint.file.f32(name, OCCUPANCY_DENSITY, &[self.loaded.cells()])?;

@@ -57,7 +57,7 @@ fn what_does_not_fit_is_refused_with_its_place() {
         rail(folder.path(), line);
         let error = open(&settings(folder.path(), 1)).expect_err(line);
         let place = format!("{}:10: ", folder.path().join("dummy.txt").display());
-        assert!(error.exit_code() == 2 && error.message.starts_with(&place), "{error}");
-        assert!(error.message.contains(what), "{line}: {error}");
+        assert!(error.kind() == trimip_core::ErrorKind::Input && error.message().starts_with(&place), "{error}");
+        assert!(error.message().contains(what), "{line}: {error}");
     }
 }
