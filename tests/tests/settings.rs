@@ -28,10 +28,12 @@ impl Section for TpuConfig {
     const NAME: &'static str = "tpu";
     const FRAGMENTS: &'static [Fragment] = &[Fragment {
         after: "",
-        table: r#"[tpu]                # tensor processors, for backend = "tpu"
-chips = 4            # free: 1 to 64: processors of a run, a power of two
-host = ""            # free: address of the host; "" = this machine
-rounding = "nearest" # of sums: "nearest" | "stochastic"
+        table: r#"
+[tpu]
+section = { meaning = 'tensor processors, for backend = "tpu"' }
+chips = { default = 4, range = [1, 64], free = true, meaning = "processors of a run, a power of two" }
+host = { default = "", free = true, meaning = 'address of the host; "" = this machine' }
+rounding = { default = "nearest", meaning = 'of sums: "nearest" | "stochastic"' }
 "#,
     }];
 

@@ -31,7 +31,7 @@ pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
 pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut set = Vec::new();
     if let Some(folder) = &scene.folder {
-        set.push(format!("data.root={}", toml::Value::String(scene_root(folder)?)));
+        set.push(format!("data.root={}", trimip::SettingValue::from(scene_root(folder)?)));
     }
     if let Some(minutes) = scene.minutes {
         if !(minutes.is_finite() && minutes > 0.0) {

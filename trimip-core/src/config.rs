@@ -33,7 +33,7 @@ pub use loss::{LossConfig, Photometric};
 pub(crate) use sections::section;
 
 use crate::config::defaults::Definitions;
-use crate::config::settings::{checker::Checker, section::mistyped, text::section_begun};
+use crate::config::settings::{checker::Checker, section::typed, text::section_begun};
 use crate::{Error, Origin, Result, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -126,9 +126,7 @@ impl Config {
     fn of_settings(settings: &Settings, to: &Checker<'_>) -> Result<Self> {
         let core = Definitions::core();
         let own = || core.defaults().map(|(path, _)| path);
-        let config = settings.table_of(own()).try_into::<Self>();
-        let mut config =
-            config.map_err(|error| mistyped(&error, &own().map(String::from).collect::<Vec<_>>(), to))?;
+        let mut config: Self = typed(settings.table_of(own()), to)?;
         config.foreign = Foreign::of(settings);
         Ok(config)
     }
@@ -395,7 +393,12 @@ mod tests {
         const NAME: &'static str = "lamp";
         const FRAGMENTS: &'static [Fragment] = &[Fragment {
             after: "",
-            table: "[lamp] # a lamp\nwatts = 60.0 # 0 to 100: its power\ntint = \"warm\" # free: its colour\n",
+            table: r#"
+[lamp]
+section = { meaning = "a lamp" }
+watts = { default = 60.0, range = [0, 100], meaning = "its power" }
+tint = { default = "warm", free = true, meaning = "its colour" }
+"#,
         }];
     }
 

@@ -313,7 +313,7 @@ impl Model {
     #[getter]
     fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let settings = settings::of(&self.model.config).map_err(raised)?;
-        value::python(py, &settings.table())
+        value::python(py, &settings)
     }
 
     /// Origin of the model's own coordinates (`aabb`, mesh positions) in those of the photographs, which cameras and points use: three

@@ -11,13 +11,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use trimip::report::{Status, text};
 use trimip::run::Recorded;
-use trimip::{Ended, Listeners, Settings, Training, events::Event};
+use trimip::{Outcome, Listeners, Settings, Training, events::Event};
 
 /// A training run: its folder, how it ended, and its measures.
 #[pyclass(frozen, module = "trimip")]
 pub struct Run {
     recorded: Recorded,
-    ended: Ended,
+    ended: Outcome,
 }
 
 #[pymethods]
@@ -26,7 +26,7 @@ impl Run {
     #[staticmethod]
     fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
         let recorded = py.detach(|| Recorded::open(&folder)).map_err(raised)?;
-        let ended = if recorded.status == Status::Stopped { Ended::Stopped } else { Ended::Before };
+        let ended = if recorded.status == Status::Stopped { Outcome::Stopped } else { Outcome::AlreadyComplete };
         Ok(Self { recorded, ended })
     }
 
@@ -40,16 +40,16 @@ impl Run {
     #[getter]
     fn ended(&self) -> &'static str {
         match self.ended {
-            Ended::Finished => "finished",
-            Ended::Stopped => "stopped",
-            Ended::Before => "before",
+            Outcome::Finished => "finished",
+            Outcome::Stopped => "stopped",
+            Outcome::AlreadyComplete => "before",
         }
     }
 
     /// All settings, including those that the scene plan decided, as nested dictionaries.
     #[getter]
     fn config<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        value::python(py, &self.recorded.settings.table())
+        value::python(py, &self.recorded.settings)
     }
 
     /// The evaluations in order: dictionaries with `step`, `seconds`, `samples`, `psnr` (dB), `ssim`, `scales` and `last`.
@@ -165,7 +165,7 @@ pub fn train(
         };
         let listeners =
             Listeners { events: &mut events, reading: &reading, observer: &mut (), stop: &listener.stop };
-        let trained = Training::new(settings, &out).fresh(fresh).run_with(listeners)?;
+        let trained = Training::new(settings, &out).overwrite(fresh).run_with(listeners)?;
         let recorded = Recorded::of(&trained);
         let written = trimip_report::write(&recorded);
         let ended = trained.outcome.clone()?;
@@ -198,7 +198,7 @@ fn evaluations(run: &Recorded) -> Value {
 /// Returns all settings with their defaults, as nested dictionaries.
 #[pyfunction]
 pub fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
-    value::python(py, &trimip::settings::defaults().table())
+    value::python(py, &trimip::settings::defaults())
 }
 
 /// Returns the names of the systems that `train` accepts.

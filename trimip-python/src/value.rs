@@ -5,34 +5,33 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple};
 use serde_json::Value as Json;
 use std::path::PathBuf;
-use toml::Value;
-use trimip::Settings;
+use trimip::{SettingValue, Settings};
 
-/// Converts a Python value to TOML; `path` is the setting that errors name.
-fn toml_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<Value> {
+/// Converts a Python value to that of a setting; `path` is the setting that errors name.
+fn setting_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
     // In Python, `True` is an int too.
     if let Ok(value) = value.cast::<PyBool>() {
-        return Ok(Value::Boolean(value.is_true()));
+        return Ok(value.is_true().into());
     }
     if value.is_instance_of::<PyInt>() {
-        return Ok(Value::Integer(value.extract()?));
+        return Ok(value.extract::<i64>()?.into());
     }
     if value.is_instance_of::<PyFloat>() {
-        return Ok(Value::Float(value.extract()?));
+        return Ok(value.extract::<f64>()?.into());
     }
     if value.is_instance_of::<PyString>() {
-        return Ok(Value::String(value.extract()?));
+        return Ok(value.extract::<String>()?.into());
     }
     if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
-        let items = value.try_iter()?.map(|item| toml_value(path, &item?));
-        return Ok(Value::Array(items.collect::<PyResult<_>>()?));
+        let items = value.try_iter()?.map(|item| setting_value(path, &item?));
+        return Ok(items.collect::<PyResult<Vec<_>>>()?.into());
     }
     // Paths and numpy numbers.
     if let Ok(path) = value.extract::<PathBuf>() {
-        return Ok(Value::String(path.display().to_string()));
+        return Ok(path.display().to_string().into());
     }
     if value.hasattr("item")? {
-        return toml_value(path, &value.call_method0("item")?);
+        return setting_value(path, &value.call_method0("item")?);
     }
     let kind = value.get_type().name()?.to_string();
     Err(refused(
@@ -53,7 +52,7 @@ fn put(settings: &mut Settings, section: &str, values: &Bound<'_, PyDict>) -> Py
         let path = if section.is_empty() { key } else { format!("{section}.{key}") };
         match value.cast::<PyDict>() {
             Ok(inner) => put(settings, &path, inner)?,
-            Err(_) => settings.set(&path, toml_value(&path, &value)?).map_err(raised)?,
+            Err(_) => settings.set(&path, setting_value(&path, &value)?).map_err(raised)?,
         }
     }
     Ok(())
@@ -74,7 +73,7 @@ fn flatten(all: &mut Vec<String>, section: &str, values: &Bound<'_, PyDict>) -> 
         let path = if section.is_empty() { key } else { format!("{section}.{key}") };
         match value.cast::<PyDict>() {
             Ok(inner) => flatten(all, &path, inner)?,
-            Err(_) => all.push(format!("{path}={}", toml_value(&path, &value)?)),
+            Err(_) => all.push(format!("{path}={}", setting_value(&path, &value)?)),
         }
     }
     Ok(())

@@ -52,14 +52,14 @@ pub mod systems;
 pub mod view;
 
 pub use run::folder::{RunFolder, read_model};
-pub use run::train::{Ended, Listeners, Trained, Training};
+pub use run::train::{Outcome, Listeners, Trained, Training};
 /// Readers of data sets, and the built-in scene.
 pub use trimip_data as data;
 
 #[doc(no_inline)]
 pub use trimip_core::{
     Advice, Alpha, Backend, Camera, Config, Crop, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel,
-    Place, Result, Session, Settings, StepReport, View, ViewSet, Viewer, config,
+    Place, Result, Session, SettingValue, Settings, StepReport, View, ViewSet, Viewer, config,
     engine::{checkpoint, events, exchange},
     field::model,
     measures::{metrics, quality},

@@ -33,6 +33,31 @@ pub fn of(config: &Config) -> Result<Settings> {
     Ok(settings)
 }
 
+/// The settings by which a configuration that was built in code differs from the defaults. The scene plan may decide about all others.
+///
+/// ```
+/// use trimip::{Config, Training, settings};
+///
+/// let mut config = Config::default();
+/// config.train.seconds = 60.0;
+/// config.change::<trimip::data::DataConfig>(|data| data.root = "data/lego".into())?;
+/// let training = Training::new(settings::changed(&config)?, "runs/lego".as_ref());
+/// # drop(training);
+/// # Ok::<(), trimip::Error>(())
+/// ```
+///
+/// # Errors
+/// As [`of`].
+pub fn changed(config: &Config) -> Result<Settings> {
+    let mut settings = of(config)?;
+    for (path, default, _) in defaults().iter() {
+        if settings.value(path) == default.to_string() {
+            settings.set_origin(path, Origin::Default);
+        }
+    }
+    Ok(settings)
+}
+
 /// Applies assignments to the configuration of a trained model. Settings that define the model cannot change.
 ///
 /// # Errors

@@ -6,6 +6,9 @@ mod render;
 #[allow(dead_code)]
 #[path = "../examples/train.rs"]
 mod train;
+#[allow(dead_code)]
+#[path = "../examples/training_loop.rs"]
+mod training_loop;
 
 use std::path::Path;
 
@@ -52,4 +55,20 @@ fn one_example_trains_and_the_other_renders() {
     let again = temporary.path().join("again");
     train::run(&[vec![photographs.display().to_string()], arguments].concat(), &again).unwrap();
     expect_picture(&again.join("view.png"), (16, 16));
+}
+
+#[test]
+fn a_training_loop_of_ones_own_learns() {
+    let mut config = trimip::Config::default();
+    config.encoder.plane_size = 64;
+    config.encoder.levels = 4;
+    config.field.hidden = 16;
+    config.train.samples_per_step = 4096;
+    let small = |data: &mut trimip::data::DataConfig| {
+        data.format = "builtin".into();
+        (data.builtin_size, data.builtin_train, data.builtin_test) = (16, 8, 1);
+    };
+    config.change(small).unwrap();
+    let [first, last] = [1, 150].map(|steps| training_loop::train(&config, steps).unwrap());
+    assert!(last < 0.5 * first, "{first} after one step, {last} after 150");
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use trimip::ranks::scatter_jobs;
-use trimip::{Ended, Listeners, Result, Training, events::Event, machine};
+use trimip::{Outcome, Listeners, Result, Training, events::Event, machine};
 use trimip_core::{Error, ErrorKind, engine::exchange::Ranks, scene::fingerprint::Fingerprint};
 use trimip_data::settings::DataConfig;
 
@@ -28,11 +28,11 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
         let mut events = |_: &Event| {};
         let going = |_, _| !stop.load(Ordering::Relaxed);
         let listeners = Listeners { events: &mut events, reading: &going, observer: &mut (), stop: &stop };
-        let trained = training.beside(ranks.on_machine()).run_with(listeners)?;
+        let trained = training.with_machine_rank(ranks.on_machine()).run_with(listeners)?;
         trained.outcome.map(|ended| (ended, trained.data))
     };
     match training.and_then(quietly) {
-        Ok((Ended::Stopped, _)) => JobEnd::Stopped,
+        Ok((Outcome::Stopped, _)) => JobEnd::Stopped,
         Ok((_, data)) => JobEnd::Trained(data),
         Err(error) if error.kind() == ErrorKind::Stopped => JobEnd::Stopped,
         Err(error) => JobEnd::Failed(error.message()),

@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::run::Recorded;
-use trimip::{Ended, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
+use trimip::{Outcome, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
 use trimip_core::run::Observer;
 use trimip_view::LiveView;
 
@@ -33,11 +33,11 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
             if let Some(file) = file {
                 RunFolder::new(&root).spare(file)?;
             }
-            Training::new(given, &root).fresh(arguments.fresh)
+            Training::new(given, &root).overwrite(arguments.fresh)
         }
     };
     let live_view = arguments.view.then(|| watched(&root, arguments.port)).transpose()?;
-    let training = training.stop_after(arguments.stop_after).since(started).over(ranks::all());
+    let training = training.max_steps(arguments.stop_after).since(started).with_ranks(ranks::all());
     let display = Display::new(arguments.progress, arguments.verbose);
     let trained = train_before(live_view, training, &display)?;
     conclude(&trained, arguments.progress)
@@ -48,7 +48,7 @@ fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Trai
     let seconds = settings::duration("--continue-for", time)?;
     let mut sets = Vec::new();
     if let Some(root) = &arguments.scene.folder {
-        sets.push(format!("data.root={}", toml::Value::String(settings::scene_root(root)?)));
+        sets.push(format!("data.root={}", trimip::SettingValue::from(settings::scene_root(root)?)));
     }
     sets.extend(arguments.settings.set.iter().cloned());
     Ok(Training::extend(root, seconds, sets))
@@ -106,7 +106,7 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let recorded = Recorded::of(trained);
     let written = trimip_report::write(&recorded);
     let ended = match &trained.outcome {
-        Ok(Ended::Before) => return written.and_then(|()| already_finished(trained, style)),
+        Ok(Outcome::AlreadyComplete) => return written.and_then(|()| already_finished(trained, style)),
         other => other,
     };
     if let Some(last) = recorded.history.last() {
@@ -127,7 +127,7 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     }
     terminal::note(format!("report: {}", recorded.folder.html().display()));
     let interrupted = interrupt::install()?.load(Ordering::Relaxed);
-    Ok(if ended == Ended::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
+    Ok(if ended == Outcome::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
 /// Reports that the folder already holds this run. The caller has rewritten the report, because an earlier stop or another quality floor

@@ -4,26 +4,23 @@
 use crate::Result;
 use crate::config::range::Range;
 use crate::config::settings::checker::Checker;
-use crate::config::settings::text::{insert, section_begun};
+use crate::config::settings::table::{Item, items};
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock};
 use toml::{Table, Value};
 
-/// Core's settings with their defaults and their meanings, as a configuration file.
+/// Core's table of settings.
 const CORE: &str = include_str!("defaults.toml");
 
-/// Mark at the beginning of the meaning of a setting, or of a section, that a resumed run may change.
-const FREE: &str = "free: ";
-
-/// Mark at the beginning of the meaning of a section of core to which other crates add settings.
-const SHARED: &str = "shared: ";
+/// Column at which the meanings begin in [`Definitions::text`].
+const COLUMN: usize = 32;
 
 /// Consecutive settings of a section.
 #[derive(Clone, Copy, Debug)]
 pub struct Fragment {
     /// Key that they follow; empty if they begin their section.
     pub after: &'static str,
-    /// The section's header and a line for each setting, in the syntax of core's table.
+    /// The settings, in the syntax of core's table.
     pub table: &'static str,
 }
 
@@ -40,7 +37,7 @@ pub struct ForeignSection {
 }
 
 /// A section of the table of settings; the settings above all sections have no name.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct DocumentedSection {
     /// Name, as between brackets.
     pub name: String,
@@ -48,6 +45,8 @@ pub struct DocumentedSection {
     pub meaning: String,
     /// True if other crates than core may add settings to it.
     pub shared: bool,
+    /// True if a resumed run may change all of its settings.
+    pub free: bool,
     /// Its settings, in order.
     pub settings: Vec<DocumentedSetting>,
 }
@@ -84,7 +83,6 @@ pub(crate) struct Definition {
 
 /// The definitions of all settings of a program: core's, and those of the sections that the program registered.
 pub struct Definitions {
-    text: String,
     documented: Vec<DocumentedSection>,
     known: BTreeMap<String, Definition>,
     registered: Vec<ForeignSection>,
@@ -105,25 +103,59 @@ impl Definitions {
     /// Core's settings and those of `sections`. Sections named in `absent` are those of crates that this build lacks: their
     /// settings are kept as they are given, and nothing reads them.
     pub fn new(sections: &[ForeignSection], absent: &[&'static str]) -> Self {
-        let mut lines: Vec<String> = CORE.lines().map(String::from).collect();
-        let mut placed = Vec::new();
-        for fragment in sections.iter().flat_map(|section| section.fragments) {
-            for (header, after, line) in settings_of(fragment) {
-                let key = line.split_once(" = ").map_or("", |(key, _)| key.trim());
-                let path = format!("{}.{key}", section_begun(header).unwrap_or_default());
-                placed.push(Placed { path, after: after.to_string() });
-                insert(&mut lines, header, after, line.to_string());
-            }
-        }
-        let text = lines.join("\n") + "\n";
-        let documented = documented(&text);
-        Self {
-            known: definitions(&text, &documented),
-            text,
-            documented,
+        let mut definitions = Self {
+            documented: vec![DocumentedSection { meaning: "the run".into(), ..DocumentedSection::default() }],
+            known: BTreeMap::new(),
             registered: sections.to_vec(),
-            placed,
+            placed: Vec::new(),
             absent: absent.to_vec(),
+        };
+        definitions.add(CORE, None);
+        for fragment in sections.iter().flat_map(|section| section.fragments) {
+            definitions.add(fragment.table, Some(fragment.after));
+        }
+        definitions
+    }
+
+    /// Adds the settings of a table: at the end of their sections, or after the key `after` for those of other crates.
+    fn add(&mut self, table: &'static str, after: Option<&'static str>) {
+        let (mut at, mut all_free, mut after) = (0, false, after.map(String::from));
+        for item in items(table) {
+            match item {
+                Item::Section { name, meaning, shared, free } => {
+                    let found = self.documented.iter().position(|section| section.name == name);
+                    at = found.unwrap_or_else(|| {
+                        let section = DocumentedSection { name, meaning, shared, free, settings: Vec::new() };
+                        self.documented.push(section);
+                        self.documented.len() - 1
+                    });
+                    all_free = free;
+                }
+                Item::Setting { key, default, range, free, meaning } => {
+                    let free = free || all_free;
+                    let section = &mut self.documented[at];
+                    let path = match section.name.as_str() {
+                        "" => key.clone(),
+                        name => format!("{name}.{key}"),
+                    };
+                    let setting = DocumentedSetting {
+                        key: key.clone(),
+                        default: default.to_string(),
+                        range: range.as_ref().map_or(String::new(), Range::to_string),
+                        meaning,
+                        free,
+                    };
+                    match &mut after {
+                        None => section.settings.push(setting),
+                        Some(after) => {
+                            section.insert(after, setting);
+                            let after = std::mem::replace(after, key);
+                            self.placed.push(Placed { path: path.clone(), after });
+                        }
+                    }
+                    self.known.insert(path, Definition { default, range, free });
+                }
+            }
         }
     }
 
@@ -136,9 +168,26 @@ impl Definitions {
         Arc::new(Self::new(&all, &self.absent))
     }
 
-    /// Every setting with its default and its meaning, as a configuration file.
-    pub fn text(&self) -> &str {
-        &self.text
+    /// Every setting with its default, its range and its meaning, as a configuration file.
+    pub fn text(&self) -> String {
+        let mut text = "# Every setting with its default. A configuration file names only the settings it changes; unknown keys are refused.\n\
+            # \"1 to 8: ..\" is the range of a number, of each number of a list, or of the values in pairs [fraction of the run, value].\n\
+            # \"free: ..\" marks a setting, or a whole section, that a resumed run may change.\n\
+            # \"Paper\" is Tri-MipRF (ICCV 2023), \"code\" is its authors' PyTorch implementation.\n\n"
+            .to_string();
+        for section in &self.documented {
+            if !section.name.is_empty() {
+                let free = if section.free { "free: " } else { "" };
+                text += &format!("\n{:COLUMN$}# {free}{}\n", format!("[{}]", section.name), section.meaning);
+            }
+            for DocumentedSetting { key, default, range, meaning, free } in &section.settings {
+                let free = if *free && !section.free { "free: " } else { "" };
+                let range = if range.is_empty() { String::new() } else { format!("{range}: ") };
+                let line = format!("{key} = {default}");
+                text += &format!("{line:0$}# {free}{range}{meaning}\n", COLUMN.max(line.len() + 1));
+            }
+        }
+        text
     }
 
     /// The settings section by section.
@@ -152,7 +201,7 @@ impl Definitions {
     }
 
     /// The default of a setting, which has its type; `None` for unknown settings.
-    pub fn default(&self, path: &str) -> Option<&Value> {
+    pub(crate) fn default(&self, path: &str) -> Option<&Value> {
         self.known.get(path).map(|definition| &definition.default)
     }
 
@@ -187,85 +236,26 @@ impl Definitions {
     }
 }
 
-/// The defaults and ranges of a text, by dotted path.
-fn definitions(text: &str, documented: &[DocumentedSection]) -> BTreeMap<String, Definition> {
-    let table: Table =
-        toml::from_str(text).unwrap_or_else(|error| unreachable!("tables of settings are tested: {error}"));
-    let mut known = BTreeMap::new();
-    for section in documented {
-        for setting in &section.settings {
-            let (path, value) = match section.name.as_str() {
-                "" => (setting.key.clone(), table.get(&setting.key)),
-                name => (
-                    format!("{name}.{}", setting.key),
-                    table.get(name).and_then(|section| section.get(&setting.key)),
-                ),
-            };
-            if let Some(default) = value.cloned() {
-                let range = Range::parse(&setting.range);
-                known.insert(path, Definition { default, range, free: setting.free });
-            }
-        }
-    }
-    known
-}
-
-/// The definitions of a fragment, by dotted path.
-pub(crate) fn definitions_of(fragment: &Fragment) -> BTreeMap<String, Definition> {
-    definitions(fragment.table, &documented(fragment.table))
-}
-
-/// Section header, preceding key, and line of each setting of a fragment.
-fn settings_of(fragment: &Fragment) -> impl Iterator<Item = (&'static str, &'static str, &'static str)> {
-    let (mut header, mut after) = ("", fragment.after);
-    fragment.table.lines().filter_map(move |line| {
-        if section_begun(line).is_some() {
-            header = line;
-            return None;
-        }
-        let (key, _) = line.split_once(" = ").filter(|_| !line.starts_with('#'))?;
-        Some((header, std::mem::replace(&mut after, key.trim()), line))
+/// The definitions of a fragment: key and definition of each setting.
+pub(crate) fn definitions_of(fragment: &Fragment) -> impl Iterator<Item = (String, Definition)> {
+    items(fragment.table).into_iter().filter_map(|item| match item {
+        Item::Setting { key, default, range, free, .. } => Some((key, Definition { default, range, free })),
+        Item::Section { .. } => None,
     })
 }
 
-/// A table of settings, section by section.
-fn documented(text: &str) -> Vec<DocumentedSection> {
-    let section = |name: &str, meaning: &str, shared| DocumentedSection {
-        name: name.into(),
-        meaning: meaning.into(),
-        shared,
-        settings: Vec::new(),
-    };
-    let mut sections = vec![section("", "the run", false)];
-    let mut all_free = false;
-    for line in text.lines() {
-        let (text, meaning) = line.split_once(" # ").unwrap_or((line, ""));
-        let (free, meaning) = without(FREE, meaning.trim());
-        if let Some(name) = section_begun(text) {
-            let (shared, meaning) = without(SHARED, meaning);
-            sections.push(section(name, meaning, shared));
-            all_free = free;
-        } else if let Some((key, default)) = text.split_once(" = ")
-            && !line.starts_with('#')
-            && let Some(section) = sections.last_mut()
-        {
-            let [key, default] = [key, default].map(|part| part.trim().to_string());
-            let (range, meaning) = match meaning.split_once(": ") {
-                Some((range, meaning)) if Range::parse(range).is_some() => (range.into(), meaning.into()),
-                _ => (String::new(), meaning.into()),
-            };
-            section.settings.push(DocumentedSetting { key, default, range, meaning, free: free || all_free });
-        }
-    }
-    sections
-}
-
-/// Whether a meaning begins with a mark, and the meaning without it.
-fn without<'a>(mark: &str, meaning: &'a str) -> (bool, &'a str) {
-    meaning.strip_prefix(mark).map_or((false, meaning), |rest| (true, rest))
-}
-
 impl DocumentedSection {
+    /// Inserts a setting after the key `after`; at the beginning if `after` is empty, at the end if no setting has that key.
+    fn insert(&mut self, after: &str, setting: DocumentedSetting) {
+        let at = match after {
+            "" => 0,
+            after => {
+                self.settings.iter().position(|own| own.key == after).map_or(self.settings.len(), |at| at + 1)
+            }
+        };
+        self.settings.insert(at, setting);
+    }
+
     /// The settings as a table in Markdown.
     pub fn markdown(&self) -> String {
         let cell = |text: &str| ['|', '<', '[', '*'].iter().fold(text.to_string(), escaped);

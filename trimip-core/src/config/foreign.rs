@@ -46,7 +46,7 @@ impl Foreign {
         Self {
             definitions: settings.definitions().clone(),
             carried: settings.carried().to_vec(),
-            values: foreign.map(|(path, value, _)| (path.to_string(), value.clone())).collect(),
+            values: foreign.map(|(path, value, _)| (path.to_string(), value.0)).collect(),
         }
     }
 

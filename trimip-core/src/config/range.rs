@@ -1,4 +1,4 @@
-//! Ranges of numbers, as the tables of settings state them before the meaning of a setting: `0 to 1024: CPU threads`.
+//! Ranges of numbers, which the tables of settings state as `range = [0, 1024]`.
 
 use toml::Value;
 
@@ -7,16 +7,23 @@ use toml::Value;
 pub struct Range {
     low: f64,
     high: f64,
-    /// As in the table.
+    /// Both numbers, such as `0 to 1e9`.
     text: String,
 }
 
 impl Range {
-    /// Parses a range such as `0 to 1024`.
-    pub(crate) fn parse(text: &str) -> Option<Self> {
-        let (low, high) = text.split_once(" to ")?;
-        let [low, high] = [low, high].map(|number| number.parse::<f64>().ok());
-        Some(Self { low: low?, high: high?, text: text.into() })
+    /// The range from the first to the second number.
+    ///
+    /// # Panics
+    /// If these are not numbers, in this order.
+    pub(crate) fn new(ends: [Value; 2]) -> Self {
+        let [low, high] = ends.each_ref().map(|end| match end {
+            Value::Integer(number) => *number as f64,
+            Value::Float(number) => *number,
+            other => panic!("{other} is not a number"),
+        });
+        assert!(low < high, "{low} is not below {high}");
+        Self { low, high, text: ends.each_ref().map(written).join(" to ") }
     }
 
     /// True if the range contains a number. A limit rounded to f32 still counts as the limit.
@@ -52,21 +59,39 @@ impl Range {
     }
 }
 
+impl std::fmt::Display for Range {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+/// A number as people write it: large and small ones by powers of ten.
+fn written(number: &Value) -> String {
+    match number {
+        Value::Float(number) if *number != 0.0 && !(1e-3..1e3).contains(&number.abs()) => {
+            format!("{number:e}")
+        }
+        Value::Float(number) => number.to_string(),
+        other => other.to_string(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn limits_belong_to_a_range_and_what_is_no_number_does_not() {
-        let range = Range::parse("1e-6 to 0.5").unwrap();
+        let range = Range::new([1e-6.into(), 0.5.into()]);
+        assert_eq!(range.to_string(), "1e-6 to 0.5");
         for number in [1e-6, f64::from(1e-6_f32), 0.1, 0.5] {
             assert!(range.contains(number), "{number}");
         }
         for number in [0.0, 0.9e-6, 0.51, 1.0, -1e-6, f64::NAN, f64::INFINITY] {
             assert!(!range.contains(number), "{number}");
         }
-        let whole = Range::parse("0 to 1e9").unwrap();
+        let whole = Range::new([0.into(), 1e9.into()]);
+        assert_eq!(whole.to_string(), "0 to 1e9");
         assert!(whole.contains(1e9) && !whole.contains(1e9 + 1.0));
-        assert!(Range::parse("photographs").is_none() && Range::parse("a to b").is_none());
     }
 }

@@ -4,6 +4,8 @@
 pub(crate) mod checker;
 mod earlier;
 pub(crate) mod section;
+pub(crate) mod setting_value;
+pub(crate) mod table;
 pub(crate) mod text;
 pub(crate) mod values;
 
@@ -11,6 +13,7 @@ use crate::config::defaults::{Definitions, Placed};
 use crate::{Advice, Error, Place, Result};
 use checker::Checker;
 use earlier::{RETIRED, renamed};
+use setting_value::SettingValue;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -57,7 +60,7 @@ impl From<&str> for Origin {
     }
 }
 
-/// Every setting by its dotted path, with its effective value and origin.
+/// Every setting by its dotted path, with its effective value and origin. Serialised as a table of sections.
 #[derive(Clone)]
 pub struct Settings {
     definitions: Arc<Definitions>,
@@ -71,6 +74,12 @@ pub struct Settings {
 impl std::fmt::Debug for Settings {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_map().entries(&self.entries).finish()
+    }
+}
+
+impl Serialize for Settings {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        self.table().serialize(serializer)
     }
 }
 
@@ -173,7 +182,7 @@ impl Settings {
     ///
     /// # Errors
     /// When there is no such setting or the value has another type.
-    pub fn with(mut self, path: &str, value: impl Into<Value>) -> Result<Self> {
+    pub fn with(mut self, path: &str, value: impl Into<SettingValue>) -> Result<Self> {
         self.set(path, value)?;
         Ok(self)
     }
@@ -182,8 +191,8 @@ impl Settings {
     ///
     /// # Errors
     /// When there is no such setting or the value has another type.
-    pub fn set(&mut self, path: &str, value: impl Into<Value>) -> Result<()> {
-        self.put(path, value.into(), "settings".into(), Origin::Code)
+    pub fn set(&mut self, path: &str, value: impl Into<SettingValue>) -> Result<()> {
+        self.put(path, value.into().0, "settings".into(), Origin::Code)
     }
 
     /// Applies a decision of the scene plan; `value` is TOML text.
@@ -196,7 +205,7 @@ impl Settings {
 
     /// The effective value of a setting as TOML text; empty if there is no such setting.
     pub fn value(&self, path: &str) -> String {
-        self.get(path).map_or_else(String::new, Value::to_string)
+        self.get(path).map_or_else(String::new, shown)
     }
 
     /// Where the effective value of a setting came from.
@@ -303,8 +312,8 @@ impl Settings {
     }
 
     /// Dotted path, effective value and origin of every setting, sorted by path.
-    pub fn iter(&self) -> impl Iterator<Item = (&str, &Value, &Origin)> {
-        self.entries.iter().map(|(path, (value, origin))| (path.as_str(), value, origin))
+    pub fn iter(&self) -> impl Iterator<Item = (&str, SettingValue, &Origin)> {
+        self.entries.iter().map(|(path, (value, origin))| (path.as_str(), SettingValue(value.clone()), origin))
     }
 
     /// Path, value and origin of the setting at `path`, for an error.
@@ -323,7 +332,7 @@ impl Settings {
     }
 
     /// The effective settings as one TOML table.
-    pub fn table(&self) -> Table {
+    pub(crate) fn table(&self) -> Table {
         self.table_of(self.entries.keys().map(String::as_str))
     }
 

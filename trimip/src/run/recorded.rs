@@ -4,7 +4,7 @@ use super::{folder::RunFolder, history::History, train::Trained};
 use crate::report::{Report, Status};
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Config, Error, Origin, Result, Settings, measures::quality::mean_quality};
+use trimip_core::{Config, Error, Origin, Result, SettingValue, Settings, measures::quality::mean_quality};
 
 /// A run: its folder, its settings and what happened in it.
 #[derive(Clone, Debug)]
@@ -53,10 +53,10 @@ impl Recorded {
 
     /// The record of a training that has ended.
     pub fn of(trained: &Trained) -> Self {
-        use super::train::Ended;
+        use super::train::Outcome;
         let status = match &trained.outcome {
-            Ok(Ended::Stopped) => Status::Stopped,
-            Ok(Ended::Finished | Ended::Before) => judged(trained.judge()),
+            Ok(Outcome::Stopped) => Status::Stopped,
+            Ok(Outcome::Finished | Outcome::AlreadyComplete) => judged(trained.judge()),
             Err(error) => Status::Failed(error.message().clone()),
         };
         Self {
@@ -92,14 +92,14 @@ fn is_same(a: &Value, b: &Value) -> bool {
 fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
     let text = std::fs::read_to_string(folder.json()).unwrap_or_default();
     let report: Value = serde_json::from_str(&text).unwrap_or_default();
-    let stated = |path: &str, value: &toml::Value| -> Option<Origin> {
+    let stated = |path: &str, value: &SettingValue| -> Option<Origin> {
         let stated = report["settings"].get(path)?;
         let same = serde_json::to_value(value).is_ok_and(|value| is_same(&value, &stated["value"]));
         stated["origin"].as_str().filter(|_| same).map(Origin::from)
     };
     let found: Vec<_> = settings
         .iter()
-        .filter_map(|(path, value, _)| stated(path, value).map(|origin| (path.to_string(), origin)))
+        .filter_map(|(path, value, _)| stated(path, &value).map(|origin| (path.to_string(), origin)))
         .collect();
     found.into_iter().for_each(|(path, origin)| settings.set_origin(&path, origin));
 }

@@ -71,13 +71,13 @@ enum Work {
 
 /// How a training ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum Outcome {
     /// The schedule and the final evaluation are complete.
     Finished,
     /// Stopped on request; the checkpoint is written.
     Stopped,
     /// The folder already held this run, trained and evaluated; nothing was done.
-    Before,
+    AlreadyComplete,
 }
 
 /// Result of a training. This process holds the lock on the folder until the value is dropped.
@@ -94,7 +94,7 @@ pub struct Trained {
     /// The run's event history.
     pub history: History,
     /// How the training ended, or why it failed. Progress before a failure is saved.
-    pub outcome: Result<Ended>,
+    pub outcome: Result<Outcome>,
     /// Why the folder lacks the last events.
     pub unwritten: Option<Error>,
     /// Fingerprint of the training views; `None` if nothing was done.
@@ -177,7 +177,7 @@ impl Training {
 
     /// If `wanted`, replaces an existing run in the folder.
     #[must_use]
-    pub fn fresh(mut self, wanted: bool) -> Self {
+    pub fn overwrite(mut self, wanted: bool) -> Self {
         if let Work::Train { fresh, .. } = &mut self.work {
             *fresh = wanted;
         }
@@ -186,14 +186,14 @@ impl Training {
 
     /// Stops after this many steps and saves, as on a stop request; the same training resumes from there.
     #[must_use]
-    pub fn stop_after(mut self, steps: Option<u64>) -> Self {
+    pub fn max_steps(mut self, steps: Option<u64>) -> Self {
         self.stop_after = steps;
         self
     }
 
     /// Trains on all of these ranks. This process is rank 0; the others [`follow`](crate::ranks::follow).
     #[must_use]
-    pub fn over(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
+    pub fn with_ranks(mut self, ranks: Option<Arc<dyn Ranks>>) -> Self {
         self.near = ranks.as_ref().map_or(Rank::ONLY, |ranks| ranks.on_machine());
         self.ranks = ranks;
         self
@@ -202,7 +202,7 @@ impl Training {
     /// Sets the rank of this process among those on its machine that train at the same time. Each of them needs as much memory, and
     /// uses another of the equally good devices.
     #[must_use]
-    pub fn beside(mut self, near: Rank) -> Self {
+    pub fn with_machine_rank(mut self, near: Rank) -> Self {
         self.near = near;
         self
     }
@@ -278,7 +278,7 @@ impl Training {
                 config,
                 settings: begin.settings,
                 history,
-                outcome: Ok(Ended::Before),
+                outcome: Ok(Outcome::AlreadyComplete),
                 unwritten: None,
                 data: None,
                 _held: held,
@@ -389,8 +389,8 @@ impl Training {
         });
         let (history, unwritten) = recorder.into_parts();
         let outcome = outcome.map(|outcome| match outcome {
-            Outcome::Finished => Ended::Finished,
-            Outcome::Stopped => Ended::Stopped,
+            Outcome::Finished => Outcome::Finished,
+            Outcome::Stopped => Outcome::Stopped,
         });
         let (folder, scene) = (folder.clone(), scene.name);
         Ok(Trained { folder, scene, config, settings, history, outcome, unwritten, data, _held: held })

@@ -17,7 +17,7 @@ use std::sync::atomic::Ordering;
 use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns, json, latex, markdown};
 use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
-use trimip::{Ended, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
+use trimip::{Outcome, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 use trimip_core::engine::exchange::Ranks;
 use trimip_report::{paper as page, save};
 
@@ -108,7 +108,7 @@ fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
     if !job.is_trained() {
         let trained = train::train(job.training(), style);
         let whole = |trained: &Trained| {
-            matches!(trained.outcome, Ok(Ended::Finished | Ended::Before)) && trained.unwritten.is_none()
+            matches!(trained.outcome, Ok(Outcome::Finished | Outcome::AlreadyComplete)) && trained.unwritten.is_none()
         };
         if !trained.as_ref().is_ok_and(whole) {
             return concluded(trained, style);

@@ -254,7 +254,7 @@ impl Layers {
             settings.apply_file(name, text)?;
         }
         let data = [
-            format!("data.root={}", toml::Value::String(scene.root.clone())),
+            format!("data.root={}", trimip::SettingValue::from(scene.root.clone())),
             format!("data.scales={}", scales.count()),
         ];
         for assignment in data.iter().chain(&self.shared) {

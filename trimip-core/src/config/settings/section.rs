@@ -24,8 +24,14 @@ use toml::{Table, Value};
 ///
 /// impl Section for Lamp {
 ///     const NAME: &'static str = "lamp";
-///     const FRAGMENTS: &'static [Fragment] =
-///         &[Fragment { after: "", table: "[lamp] # free: a lamp\nwatts = 60.0 # 0 to 100: its power" }];
+///     const FRAGMENTS: &'static [Fragment] = &[Fragment {
+///         after: "",
+///         table: r#"
+/// [lamp]
+/// section = { free = true, meaning = "a lamp" }
+/// watts = { default = 60.0, range = [0, 100], meaning = "its power" }
+/// "#,
+///     }];
 /// }
 ///
 /// let definitions = Definitions::new(&[ForeignSection::of::<Lamp>()], &[]);
@@ -63,9 +69,9 @@ fn check<S: Section>(table: &Table, to: &Checker<'_>) -> Result<()> {
 /// Reads the typed section from `table`. Settings missing from `table` have their defaults.
 pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
     let mut table = table.clone();
-    for (path, definition) in S::FRAGMENTS.iter().flat_map(definitions_of) {
-        let (_, key) = parts_of(&path);
-        let value = match table.remove(key) {
+    for (key, definition) in S::FRAGMENTS.iter().flat_map(definitions_of) {
+        let path = format!("{}.{key}", S::NAME);
+        let value = match table.remove(&key) {
             Some(value) => fit(&definition.default, value).map_err(|(found, expected)| {
                 Error::input(
                     to.place(&path),
@@ -78,23 +84,27 @@ pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
         if let Some(range) = definition.range {
             to.check(range.holds(&value), &path, &range.expected(&value))?;
         }
-        table.insert(key.to_string(), value);
+        table.insert(key, value);
     }
-    let paths: Vec<String> = table.keys().map(|key| format!("{}.{key}", S::NAME)).collect();
     let whole = Table::from_iter([(S::NAME.to_string(), Value::Table(table))]);
-    let mut whole: BTreeMap<String, S> =
-        whole.try_into().map_err(|error: toml::de::Error| mistyped(&error, &paths, to))?;
+    let mut whole: BTreeMap<String, S> = typed(whole, to)?;
     let section = whole.remove(S::NAME).unwrap_or_else(|| unreachable!("it was put in above"));
     section.check(to)?;
     Ok(section)
 }
 
-/// Error for a value that the typed form rejects. toml's error names the key; the result names the place where it was set.
-pub(crate) fn mistyped(error: &toml::de::Error, paths: &[String], to: &Checker<'_>) -> Error {
-    let text = error.to_string();
-    let place = paths.iter().find(|path| text.contains(&format!("`{path}`")));
-    let place = place.map_or("configuration".into(), |path| to.place(path));
-    Error::input(place, error.message(), "see its meaning in the table of settings")
+/// Reads the typed form of a table of settings.
+///
+/// # Errors
+/// When the typed form rejects a value; names the place where it was set.
+pub(crate) fn typed<T: DeserializeOwned>(table: Table, to: &Checker<'_>) -> Result<T> {
+    serde_path_to_error::deserialize(table).map_err(|error| {
+        let path = error.path().to_string();
+        // Of a number within a list, the setting is the list.
+        let setting = path.split('[').next().unwrap_or_default();
+        let advice = "see its meaning in the table of settings";
+        Error::input(to.place(setting), error.into_inner().message(), advice)
+    })
 }
 
 /// Place of a value of a configuration in memory, for an error.
