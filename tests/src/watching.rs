@@ -18,7 +18,7 @@ const PATIENCE: Duration = Duration::from_secs(240);
 /// Expected list of keys on a page that shows a model: the input and its effect.
 const KEYS: [[&str; 2]; 6] = [
     ["drag, ← → ↑ ↓", "turn"],
-    ["right button or shift and drag, shift and ← → ↑ ↓", "move sideways"],
+    ["drag with the right button or shift, shift and ← → ↑ ↓", "move sideways"],
     ["wheel, two fingers, + −", "nearer and farther"],
     ["Home", "the first view"],
     ["f", "full screen, and back"],

@@ -132,7 +132,7 @@ fn broken_archives_are_refused() {
     }
     // `scene` was not unpacked from this archive.
     fs::write(here.join("scene.zip"), good).unwrap();
-    refuses(here, &["plan", "scene.zip"], &["scene: is where scene.zip is to be unpacked", "name scene"]);
+    refuses(here, &["plan", "scene.zip"], &["scene: already holds a scene, so scene.zip", "name scene"]);
     fs::write(here.join("scene.tar"), "").unwrap();
     refuses(here, &["plan", "scene.tar"], &["is a file, not the folder of a scene"]);
     refuses(here, &["data", "inspect", "gone.zip"], &["gone.zip: does not exist"]);

@@ -46,7 +46,7 @@ fn photographs_become_a_scene_by_colmap_3_8() {
         "RADIAL (ordinary lenses",
         "one for all pictures",
         "on the CPU: this COLMAP is built without CUDA",
-        "each picture with each, 66 pairs",
+        "each picture with every other, 66 pairs",
         "one after the other (12 pictures",
         "12 of 12 pictures placed by colmap 3.8, 27 points",
         "next: trimip-cli captures/walk",
@@ -344,7 +344,7 @@ fn wrong_input_is_refused_with_what_to_do() {
         place.run(&[&["capture"], arguments].concat()).expect_error(2, parts);
         assert_eq!(files(here), before, "{arguments:?}");
     };
-    refused(&["few"], &["few: holds 1 photograph alone", "take more"]);
+    refused(&["few"], &["few: holds only 1 photograph", "take more"]);
     refused(&["scene"], &["scene: holds a scene with cameras already", "trimip-cli scene"]);
     refused(&["gone.mp4"], &["gone.mp4: does not exist"]);
     refused(&["few/0.jpg"], &["is no film", "the folder of all photographs"]);
@@ -370,7 +370,7 @@ fn wrong_input_is_refused_with_what_to_do() {
         .run(&["capture", "walk.mp4"])
         .expect_error(1, &["ffmpeg ended with exit code 1: moov atom not found"]);
     place.sign("probe", "{\"streams\":[]}");
-    place.run(&["capture", "walk.mp4"]).expect_error(2, &["walk.mp4: holds no film"]);
+    place.run(&["capture", "walk.mp4"]).expect_error(2, &["walk.mp4: has no video stream"]);
 }
 
 #[test]
@@ -401,10 +401,10 @@ fn a_model_with_lost_cameras_is_tried_again_without_distortion() {
     let again = "--output_path again.part --Mapper.num_threads -1 --Mapper.ba_refine_extra_params 0";
     assert!(calls[3].ends_with(again), "{calls:?}");
     for part in [
-        "2 of 12 stand more than 1000 times as far from the middle as half of them",
-        "once more, for a lens without distortion",
+        "2 of 12 are more than 1000 times as far from the centre as the median camera",
+        "once more, without lens distortion",
         "11 of 12 pictures placed",
-        "not placed: 07.jpg (07.jpg): its camera stands more than 1000 times as far",
+        "not placed: 07.jpg (07.jpg): its camera is more than 1000 times as far",
     ] {
         assert!(told.contains(part), "{part}: {told}");
     }

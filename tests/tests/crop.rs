@@ -72,7 +72,7 @@ fn what_no_camera_sees_is_left_out() {
     train(here, &[]);
     let (all, _) = mesh(here, &["--seen-by", "0", "--specks", "0"]);
     let (seen, told) = mesh(here, &["--seen-by", "1", "--specks", "0"]);
-    assert!(seen.len() < all.len() && told.contains("that few cameras see left out"), "{told}");
+    assert!(seen.len() < all.len() && told.contains("that few cameras see"), "{told}");
     assert!(!seen.is_empty());
 }
 
@@ -147,7 +147,7 @@ fn an_object_has_no_crop_and_a_given_one_is_kept() {
     for (crop, part) in [
         ("ball 1,2", "a ball has four numbers"),
         ("box 0,0,0,1,1,0", "above the first"),
-        ("cube", "it begins with none, box or ball"),
+        ("cube", "a crop begins with none, box or ball"),
     ] {
         refuses(here, &["export", "mesh", "run", "--crop", crop], &[part, "or auto"]);
         refuses(here, &["render", "run", "--crop", crop], &[part, "or auto"]);
@@ -156,7 +156,11 @@ fn an_object_has_no_crop_and_a_given_one_is_kept() {
         let setting = format!("scene.crop={crop}");
         refuses(here, &tiny_and(&["--out", "other", "--set", &setting]), &[part, "--set"]);
     }
-    refuses(here, &["export", "mesh", "object", "--crop", "ball 99,0,0,1"], &["lies beside the scene's box"]);
+    refuses(
+        here,
+        &["export", "mesh", "object", "--crop", "ball 99,0,0,1"],
+        &["lies outside the scene's box"],
+    );
     let told = about(&Shown::start_with(here, "object", &["--crop", "auto"]));
     assert_eq!((&told["crop"], &told["cropped"]), (&json!("none"), &json!(false)));
 }

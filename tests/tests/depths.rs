@@ -91,15 +91,15 @@ fn a_scene_with_depth_images_is_trained_with_them_and_says_so() {
     };
     let (told, config) = train("with", &[]);
     let reason =
-        format!("points that photographs saw, or depth images, tell where the rays of {known} pixels end");
+        format!("points that photographs show, or depth images, give the distances of {known} pixels");
     assert!(told.out.contains(&reason) && told.out.contains(line), "{}", told.out);
     assert!(config.contains("seeded = 0.3") && config.contains("depth = [[0.0, 0.01]"), "{config}");
     for more in [["--set", "plan.depth=off"], ["--set", "data.depths=false"]] {
         let (told, config) = train(more[1], &more);
-        assert!(!told.out.contains("tell where the rays") && config.contains("seeded = 0.0"), "{config}");
+        assert!(!told.out.contains("give the distances") && config.contains("seeded = 0.0"), "{config}");
     }
     let asked = ["train", "room", "--set", "data.depths=false", "--set", "plan.depth=on"];
-    refuses(here, &asked, &["plan.depth", "no points that training photographs saw, and no depth images"]);
+    refuses(here, &asked, &["plan.depth", "no points that training photographs show, and no depth images"]);
     fs::remove_dir_all(here.join("room/depths")).unwrap();
     let gone = ["depths/1.png does not exist (21 of 21 depth images are missing)", "data.depths = false"];
     refuses(here, &["train", "room"], &gone);

@@ -279,7 +279,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     // `data inspect` reports a folder in the folder's own coordinates.
     let inspected = run(here, &["data", "inspect", "far", "--html", "far.html"]);
     done(&inspected);
-    assert!(fs::read_to_string(here.join("far.html")).unwrap().contains("counted from [40755"));
+    assert!(fs::read_to_string(here.join("far.html")).unwrap().contains("relative to [40755"));
     assert!(inspected.out.contains("z 48016") && inspected.out.contains("data.origin"), "{}", inspected.out);
     let near = run(here, &["data", "inspect", "near"]);
     assert!(!near.out.contains("data.origin"), "{}", near.out);

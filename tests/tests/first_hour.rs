@@ -61,7 +61,7 @@ fn a_folder_is_all_that_a_user_types() {
     fs::create_dir(folder.join("empty")).unwrap();
     refused(&run(folder, &["empty"]), &["empty", "transforms"]);
     refused(&run(folder, &["empty", "--minutes", "0"]), &["--minutes 0"]);
-    refused(&run(folder, &["empty", "--minutes", "-1"]), &["--minutes -1", "is no time"]);
+    refused(&run(folder, &["empty", "--minutes", "-1"]), &["--minutes -1", "is not a duration"]);
     assert!(!folder.join("runs/empty/metrics.jsonl").exists());
 
     // For a film, and for photographs without cameras, the program suggests the command that finds cameras.
@@ -113,7 +113,7 @@ fn a_folder_is_all_that_a_user_types() {
     let longer = run(folder, &["scene", "--continue-for", "4s"]);
     done(&longer);
     assert!(
-        longer.out.contains("extended: ") && longer.out.contains("the schedule stretches"),
+        longer.out.contains("extended: ") && longer.out.contains("the schedule is stretched"),
         "{}",
         longer.out
     );
@@ -164,7 +164,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     for part in [
         "no alpha",
         "plan.background: set: the borders of all photographs have one colour",
-        "plan.aabb: set: the photographs have no silhouettes; the box lies around what the cameras look at",
+        "plan.aabb: set: the photographs have no silhouettes; the box is the one around what the cameras look at",
     ] {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
     }
@@ -177,7 +177,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     let answer = run(folder, &arguments);
     assert_eq!(answer.code, Some(1), "{answer:?}");
     assert!(
-        answer.out.contains("covers only 0 %") && answer.err.contains("no ray sees anything"),
+        answer.out.contains("covers only 0 %") && answer.err.contains("no ray hits anything"),
         "{answer:?}"
     );
     assert_ne!(report(&folder.join("beside"))["status"], "finished");

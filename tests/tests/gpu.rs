@@ -123,7 +123,11 @@ fn numbers_beyond_f16_are_counted_and_the_run_goes_on_in_f32() {
         }
         trainer.set_parameters(&values);
         suite::training::steps(&mut trainer, &config, 6)?;
-        assert!(trainer.notes().iter().any(|note| note.contains("goes on in f32")), "{:?}", trainer.notes());
+        assert!(
+            trainer.notes().iter().any(|note| note.contains("continues in f32")),
+            "{:?}",
+            trainer.notes()
+        );
         assert!(trainer.parameters().iter().all(|x| x.is_finite()));
         Ok(())
     });

@@ -79,7 +79,7 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     let answer = run(here, &all);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     for told in
-        ["scenes: chair, lego", "not there: drums, ficus, hotdog, materials, mic, ship", "expected time"]
+        ["scenes: chair, lego", "missing: drums, ficus, hotdog, materials, mic, ship", "expected time"]
     {
         assert!(answer.err.contains(told), "no `{told}` in {}", answer.err);
     }

@@ -60,7 +60,7 @@ fn any_number_of_ranks_writes_the_run_of_one() {
         let out = format!("ranks{count}");
         let Some(answer) = answer(count, here, &tiny_and(&["--out", &out])) else { return };
         assert_eq!(answer.code, Some(0), "{answer:?}");
-        assert!(answer.err.contains(&format!("{count} ranks: a step sent")), "{}", answer.err);
+        assert!(answer.err.contains(&format!("{count} ranks: rank 0 sent")), "{}", answer.err);
         assert_eq!(whole.is_ended_by(&here.join(&out)), Ok(()), "{count} ranks");
     }
     // A run continues with another number of ranks, and with one process.
@@ -392,9 +392,9 @@ fn ranks_with_other_photographs_or_models_are_refused() {
         (vec!["render", "run", "--turntable", "3", "--out", &renders], "not those of rank 0"),
         (
             [&["train", "scene", "--out", &out], on_files].concat(),
-            "not the photographs of rank 0: other pixels",
+            "holds other photographs than rank 0: other pixels",
         ),
-        ([&bench[..], on_files].concat(), "other photographs than those of"),
+        ([&bench[..], on_files].concat(), "was trained on other photographs than"),
     ] {
         let Some(mut command) = ranks(1, a, &arguments) else { return };
         let program = program_of_ranks().expect("it is there");

@@ -150,11 +150,11 @@ pub fn decide(request: &Request, pictures: &Pictures, able: &Ability) -> Result<
     let (cameras, why) = cameras(pictures);
     let (lens, because) = match request.camera {
         Some(lens) => (lens, "as asked for"),
-        None if cameras == Cameras::PerImage => (Lens::SimpleRadial, "one picture cannot tell more"),
+        None if cameras == Cameras::PerImage => (Lens::SimpleRadial, "one picture determines no more terms"),
         None => (
             Lens::Radial,
-            "ordinary lenses; --camera opencv adds terms that few pictures do not tell apart from the focal length, \
-             opencv-fisheye is for lenses that see 120° and more",
+            "ordinary lenses; --camera opencv adds terms that few pictures cannot separate from the focal length, \
+             and opencv-fisheye is for lenses that see 120° and more",
         ),
     };
     lines.push(format!("cameras: {} ({because}), {why}", lens.name()));
@@ -178,7 +178,7 @@ pub fn decide(request: &Request, pictures: &Pictures, able: &Ability) -> Result<
 
     let (global, why) = match request.mapper {
         Some(mapper) => (mapper == Mapper::Global, "as asked for".to_string()),
-        None if able.only_global => (true, "what glomap does".into()),
+        None if able.only_global => (true, "as glomap does".into()),
         None if number <= INCREMENTAL => (false, format!("{number} pictures, up to {INCREMENTAL}")),
         None if able.global => (true, format!("{number} pictures, more than {INCREMENTAL}")),
         None => (false, format!("{number} pictures take long; COLMAP 4 or glomap would place them at once")),
@@ -220,13 +220,13 @@ fn pairs(wanted: Option<Matcher>, of_film: bool, number: usize, tree: Option<Str
         let loops = match (&tree, every) {
             (Some(_), _) => "; the vocabulary tree closes loops".to_string(),
             (None, 0) => String::new(),
-            (None, every) => format!("; one of every {every} with all others of these, which closes loops"),
+            (None, every) => format!("; one picture in {every} with all others of these, which closes loops"),
         };
         let text = format!("each picture with the {OVERLAP} next ones and some farther on ({why}){loops}");
         (Pairs::Sequential { overlap: OVERLAP, every, tree }, text)
     };
     let exhaustive = |why: &str| {
-        (Pairs::Exhaustive, format!("each picture with each, {} ({why})", count(all as u64, "pair")))
+        (Pairs::Exhaustive, format!("each picture with every other, {} ({why})", count(all as u64, "pair")))
     };
     match (wanted, tree) {
         (Some(Matcher::Exhaustive), _) => exhaustive("as asked for"),
@@ -239,7 +239,7 @@ fn pairs(wanted: Option<Matcher>, of_film: bool, number: usize, tree: Option<Str
         (None, Some(tree)) => (
             Pairs::Vocabulary { tree },
             format!(
-                "each picture with those that look alike (more than {EXHAUSTIVE} photographs, by the tree)"
+                "each picture with those that look alike (more than {EXHAUSTIVE} photographs, by the vocabulary tree)"
             ),
         ),
         // `expect` refuses --matcher vocabulary without a tree.

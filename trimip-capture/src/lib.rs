@@ -116,7 +116,7 @@ fn expect_outside(input: &Path, root: &Path) -> Result<()> {
     Err(Error::input(
         root.display(),
         "lies in the folder that is captured",
-        Advice::Argument("name a folder outside with {out}, or type the command in another folder".into()),
+        Advice::Argument("name a folder outside with {out}, or run the command in another folder".into()),
     ))
 }
 
@@ -342,8 +342,7 @@ impl Capture<'_> {
         if let Some(lost) = models.lost()
             && let Some(decisions) = decisions.without_distortion()
         {
-            self.teller
-                .note(&format!("cameras: {lost}; they are placed once more, for a lens without distortion"));
+            self.teller.note(&format!("cameras: {lost}; all are placed once more, without lens distortion"));
             let others = self.models(poses, pictures, &decisions, AGAIN)?;
             if others.sound() > models.sound() {
                 self.folder.replace("models", AGAIN)?;
@@ -395,7 +394,7 @@ impl Capture<'_> {
                 .map(|model| format!("{} ({})", model.pictures.len(), model.folder))
                 .collect();
             self.teller.note(&format!(
-                "models: {} of {} pictures, which share too little with each other; the largest is taken",
+                "models: {} with {} pictures, which share too little with each other; the largest is used",
                 models.models.len(),
                 sizes.join(", ")
             ));
@@ -408,13 +407,13 @@ impl Capture<'_> {
         if unplaced.len() > NAMED {
             let more = unplaced.len() - NAMED;
             self.teller.note(&format!(
-                "not placed: {more} more, which {} shows",
+                "not placed: {more} more, listed in {}",
                 self.folder.path("inspect.html").display()
             ));
         }
         if 2 * placed < all {
             self.teller.note(
-                "warning: less than half of the pictures have a camera: take more with more overlap, or try the matcher `exhaustive`",
+                "warning: less than half of the pictures have a camera: take more pictures with more overlap, or try the matcher `exhaustive`",
             );
         }
         unplaced

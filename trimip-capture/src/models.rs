@@ -52,7 +52,7 @@ impl Models {
     pub fn lost(&self) -> Option<String> {
         let best = self.models.first().filter(|best| !best.lost.is_empty())?;
         Some(format!(
-            "{} of {} stand more than {LOST} times as far from the middle as half of them",
+            "{} of {} are more than {LOST} times as far from the centre as the median camera",
             best.lost.len(),
             best.pictures.len()
         ))

@@ -127,7 +127,7 @@ pub fn make(
     fs::remove_dir(&staging).map_err(|error| super::folder::unwritable(&staging, &error))?;
     if turned > 0 {
         pictures.notes.push(format!(
-            "orientation: {} said by EXIF to be turned; pixels are used as stored, so that one camera fits all",
+            "orientation: {} rotated according to EXIF; pixels are used as stored, so that one camera fits all",
             if turned == 1 { "1 photograph is".into() } else { format!("{turned} photographs are") }
         ));
     }
@@ -166,7 +166,7 @@ impl Converting<'_> {
         Err(match failed {
             None => missing,
             Some(failed) => {
-                Error::input(from.display(), format!("is not converted: {failed}"), "or install heif-convert")
+                Error::input(from.display(), format!("cannot be converted: {failed}"), "install heif-convert")
             }
         })
     }
@@ -193,7 +193,7 @@ impl Converting<'_> {
             to.with_file_name(format!("{}-1.jpg", to.file_stem().unwrap_or_default().to_string_lossy()));
         fs::rename(&numbered, to).map_err(|_| {
             Error::run(format!(
-                "{} wrote no picture of {}; all it said is in {}",
+                "{} wrote no picture of {}; its output is in {}",
                 converter.name,
                 from.display(),
                 self.log.display()
@@ -314,8 +314,6 @@ mod tests {
         );
         assert!(root.join("several/6x6/3.png").is_file() && !root.join("several/all").exists());
         assert_eq!(fs::read_dir(&from).unwrap().count(), 5);
-        assert!(
-            make(&["0.png", "1.png", "4.png"], "few").unwrap_err().message().contains("2 pictures alone")
-        );
+        assert!(make(&["0.png", "1.png", "4.png"], "few").unwrap_err().message().contains("only 2 pictures"));
     }
 }

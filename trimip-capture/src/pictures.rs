@@ -59,8 +59,8 @@ impl Pictures {
             self.left_out.first().map_or(String::new(), |out| format!(" ({}: {})", out.name, out.reason));
         Err(Error::input(
             place.display(),
-            format!("holds {} alone{why}", count(self.pictures.len() as u64, "picture")),
-            format!("cameras need at least {FEWEST} that overlap"),
+            format!("holds only {}{why}", count(self.pictures.len() as u64, "picture")),
+            format!("take more: cameras need at least {FEWEST} that overlap"),
         ))
     }
 

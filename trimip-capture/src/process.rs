@@ -173,8 +173,8 @@ impl Call<'_> {
         };
         let said: Vec<String> =
             ended.last.iter().map(|line| line.trim().chars().take(WIDTH).collect()).collect();
-        let said = if said.is_empty() { "it said nothing".into() } else { said.join(" | ") };
-        Error::run(format!("{} {how}: {said}; all it said is in {}", self.name, self.log.display()))
+        let said = if said.is_empty() { "it printed nothing".into() } else { said.join(" | ") };
+        Error::run(format!("{} {how}: {said}; its output is in {}", self.name, self.log.display()))
     }
 
     fn open_log(&self) -> Result<BufWriter<File>> {

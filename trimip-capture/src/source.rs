@@ -108,7 +108,7 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
     }
     if !material.films.is_empty() {
         notes.push(format!(
-            "{} beside the photographs is left out; name it to capture it",
+            "left out: {}, because the folder holds photographs; name the film to capture it",
             material.films[0].display()
         ));
     }
@@ -122,7 +122,7 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
     if photographs.len() < FEWEST {
         return Err(Error::input(
             place,
-            format!("holds {} alone", trimip_core::plural::count(photographs.len(), "photograph")),
+            format!("holds only {}", trimip_core::plural::count(photographs.len(), "photograph")),
             format!(
                 "take more: cameras need at least {FEWEST} that overlap, and 50 to 200 make a good scene"
             ),
@@ -141,7 +141,7 @@ fn without_copies(photographs: &mut Vec<Photograph>, notes: &mut Vec<String>) {
     photographs.retain(|photograph| photograph.foreign.is_none() || !read.contains(&stem(photograph)));
     if photographs.len() < before {
         notes.push(format!(
-            "{} lie beside the same in another format and are left out",
+            "left out: {} that the folder also holds in another format",
             trimip_core::plural::count(before - photographs.len(), "photograph")
         ));
     }
@@ -191,7 +191,7 @@ mod tests {
         }
         for (name, what) in [
             ("films", "several films"),
-            ("two", "2 photographs alone"),
+            ("two", "only 2 photographs"),
             ("scene", "holds a scene with cameras already"),
             ("raw", "camera's raw image"),
             ("empty", "neither photographs nor a film"),

@@ -52,7 +52,7 @@ pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path
         let other = others.iter().find(|other| other.pictures.contains(&picture.name));
         let reason = match other {
             _ if best.lost.contains(&picture.name) => {
-                format!("its camera stands more than {LOST} times as far from the middle as half of all")
+                format!("its camera is more than {LOST} times as far from the centre as the median camera")
             }
             Some(other) => format!(
                 "in another model of {}, which shares too little with the best one (models/{})",

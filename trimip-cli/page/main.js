@@ -43,7 +43,7 @@ async function bytes(file) {
 async function open() {
   if (!window.isSecureContext) throw new Error("WebGPU needs an address with https:// or localhost.");
   if (!navigator.gpu || !(await navigator.gpu.requestAdapter())) {
-    throw new Error("This browser has no WebGPU, which this page renders with. Recent versions of Chrome, Edge, Firefox and Safari have it.");
+    throw new Error("This browser has no WebGPU, which this page needs. Recent versions of Chrome, Edge, Firefox and Safari support it.");
   }
   await start();
   const { name, model, cropped, home } = await (await fetch("about.json")).json();

@@ -15,8 +15,8 @@ fn given(memory: *mut u8, layout: Layout) -> *mut u8 {
     if memory.is_null() {
         let _ = writeln!(
             std::io::stderr(),
-            "error: memory: {} bytes more are not to be had; free memory or raise its limit (ulimit -v), or lower the settings \
-             that take it",
+            "error: memory: cannot allocate {} more bytes; free memory, raise its limit (ulimit -v), or lower the settings \
+             that use it",
             layout.size()
         );
         std::process::exit(3);

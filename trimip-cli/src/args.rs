@@ -46,8 +46,8 @@ pub enum Verb {
     Train(TrainArguments),
     /// Make a scene from a film or from photographs without cameras: frames, poses by COLMAP, pictures without a pose; then train
     #[command(
-        after_help = "Programs that are not part of this one do the work: ffmpeg takes frames out of films, COLMAP (the program, the \
-                            Python package pycolmap, or glomap) finds the cameras. The same command goes on where it was interrupted."
+        after_help = "External programs do the work: ffmpeg extracts frames from films, COLMAP (the program, the \
+                            Python package pycolmap, or glomap) finds the cameras. The same command resumes an interrupted capture."
     )]
     Capture(Box<CaptureArguments>),
     /// Show which parts of the training the scene does not need, and measure what leaving them out costs and saves

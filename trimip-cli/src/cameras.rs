@@ -11,7 +11,7 @@ use trimip_core::text;
 pub fn vector(place: impl Into<Place>, text: &str) -> Result<DVec3> {
     match numbers(text).as_deref() {
         Some(&[x, y, z]) if DVec3::new(x, y, z).is_finite() => Ok(DVec3::new(x, y, z)),
-        _ => Err(Error::input(place, format!("`{text}` is no position"), "write three numbers as x,y,z")),
+        _ => Err(Error::input(place, format!("`{text}` is not a position"), "write three numbers as x,y,z")),
     }
 }
 
@@ -19,7 +19,7 @@ pub fn vector(place: impl Into<Place>, text: &str) -> Result<DVec3> {
 pub fn look_at(text: &str, up: DVec3, intrinsics: Intrinsics) -> Result<Camera> {
     let place = Place::argument("look-at", text);
     let Some((eye, target)) = text.split_once('/') else {
-        return Err(Error::input(place, "no '/' found", "write eye/target, such as 4,0,2/0,0,0"));
+        return Err(Error::input(place, "has no '/'", "write eye/target, such as 4,0,2/0,0,0"));
     };
     let (eye, target) = (vector(&place, eye)?, vector(&place, target)?);
     aimed(&place, eye, target, up, intrinsics)
@@ -40,8 +40,8 @@ pub fn pose(text: &str, intrinsics: Intrinsics) -> Result<Camera> {
     let Some(matrix) = matrix else {
         return Err(Error::input(
             place,
-            "no matrix found",
-            "give 12 or 16 numbers row by row, as JSON or separated by commas, or an existing file with them",
+            "has no matrix",
+            "give 12 or 16 numbers row by row, as JSON or separated by commas, or the path of a file that has them",
         ));
     };
     posed(&place, &matrix, intrinsics)

@@ -81,7 +81,7 @@ fn show_on(bar: &ProgressBar, event: &Event<'_>) {
             bar.set_message(format!("{doing}, {done} of {total}{left}"));
         }
         Event::Done { stage, seconds, earlier } => {
-            let when = if earlier { "done before" } else { "done" };
+            let when = if earlier { "already done" } else { "done" };
             bar.suspend(|| terminal::prose(format!("{stage}: {when}, {}", terminal::duration(seconds))));
         }
     }

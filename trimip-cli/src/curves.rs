@@ -231,6 +231,6 @@ mod tests {
         assert!(message("seconds,psnr_mean\n1,2\n3\n").contains("x.csv:3"));
         assert!(message("seconds,psnr_mean\n1,nan\n").contains("x.csv:2"));
         assert_eq!(read("seconds,psnr_mean\n1,20\n2,\n3,30\n").points.len(), 2);
-        assert!(message("").contains("seconds") && message("seconds,psnr_mean\n").contains("no measures"));
+        assert!(message("").contains("seconds") && message("seconds,psnr_mean\n").contains("no evaluations"));
     }
 }

@@ -176,7 +176,7 @@ impl Training {
             Event::Stopped { totals } => {
                 bar.abandon();
                 terminal::prose(format!(
-                    "stopped at step {}; the same command goes on from there",
+                    "stopped at step {}; the same command resumes from there",
                     totals.step
                 ));
             }

@@ -27,11 +27,11 @@ pub fn among(program: impl FnOnce() -> Result<u8>, work: impl FnMut(&dyn Ranks) 
 #[cfg(feature = "mpi")]
 mod launched {
     use super::supervisor;
-    use crate::{interrupt, terminal};
+    use crate::{interrupt, terminal, wording::exit_code};
     use std::panic::{AssertUnwindSafe, catch_unwind};
     use std::sync::{Arc, OnceLock};
     use trimip::ranks;
-    use trimip_core::{Error, Result, engine::exchange::Ranks};
+    use trimip_core::{ErrorKind, Result, engine::exchange::Ranks};
     use trimip_mpi::World;
 
     static WORLD: OnceLock<Arc<World>> = OnceLock::new();
@@ -97,7 +97,7 @@ mod launched {
         }
         let a_step = traffic.bytes as f64 / traffic.steps as f64;
         terminal::aside(format!(
-            "{} ranks: a step sent {} from rank 0, {:.2} times the touched part of the gradient; exchanges took {:.1} % of the \
+            "{} ranks: rank 0 sent {} a step, {:.2} times the touched part of the gradient; exchanges took {:.1} % of the \
              time",
             world.rank().size,
             terminal::bytes(a_step as u64),
@@ -110,7 +110,7 @@ mod launched {
 #[cfg(not(feature = "mpi"))]
 mod launched {
     use std::sync::Arc;
-    use trimip_core::{Error, Result, engine::exchange::Ranks};
+    use trimip_core::{ErrorKind, Result, engine::exchange::Ranks};
 
     pub fn all() -> Option<Arc<dyn Ranks>> {
         None

@@ -35,7 +35,11 @@ pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Resu
     }
     if let Some(minutes) = scene.minutes {
         if !(minutes.is_finite() && minutes > 0.0) {
-            return Err(Error::input(format!("--minutes {minutes}"), "is no time", "give a number above 0"));
+            return Err(Error::input(
+                format!("--minutes {minutes}"),
+                "is not a duration",
+                "give a number above 0",
+            ));
         }
         set.push(format!("train.seconds={:?}", 60.0 * minutes));
     }
@@ -96,7 +100,7 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
     let seconds = text[..end].trim().parse::<f64>().ok().zip(unit).map(|(number, unit)| number * unit);
     seconds
         .filter(|seconds| seconds.is_finite() && *seconds > 0.0)
-        .ok_or_else(|| Error::input(place, format!("`{text}` is no duration"), "write 90s, 5m or 1h"))
+        .ok_or_else(|| Error::input(place, format!("`{text}` is not a duration"), "write 90s, 5m or 1h"))
 }
 
 /// Default run folder: `runs/` and the name of the configuration file, or else of the scene's archive or folder, followed by the system.

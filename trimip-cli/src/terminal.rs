@@ -33,7 +33,7 @@ pub fn printed() -> Result<()> {
         Some(error) if error.kind() != ErrorKind::BrokenPipe => Err(Error::input(
             "standard output",
             format!("cannot write: {error}"),
-            "send it where there is room, and run the command again",
+            "redirect it to a place with free space, and run the command again",
         )),
         _ => Ok(()),
     }
@@ -113,7 +113,7 @@ mod tests {
 
     #[test]
     fn wrapped_text_fits_and_keeps_its_words() {
-        let text = "evaluation: 4 times on the way on 4 of 12 test views, at the end on 12 of 12 test views; fails below";
+        let text = "evaluation: 4 times during training on 4 of 12 test views, at the end on 12 of 12 test views; fails below";
         for width in 40..=110 {
             let wrapped = wrapped(text, width);
             let lines: Vec<&str> = wrapped.lines().collect();

@@ -275,7 +275,7 @@ mod tests {
             ("encoder.plane_size=500", "a multiple of 128"),
             ("encoder.level=\"papers\"", "expected"),
             ("train.samples_per_step=0", "256 to"),
-            ("scene.aabb_min=[2.0, 0.0, 0.0]", "a corner above"),
+            ("scene.aabb_min=[2.0, 0.0, 0.0]", "scene.aabb_max above"),
             ("scene.aabb_min=[0.0, 0.0]", ""),
             ("optimizer.learning_rate=nan", "1e-9 to 10"),
             ("threads=100000", "0 to 1024"),

@@ -77,9 +77,9 @@ impl Backend for CpuBackend {
 
     fn notes(&self, config: &Config) -> Vec<String> {
         match config.field.precision {
-            Precision::F16 => vec!["field.precision = \"f16\" is a GPU's: the CPU computes in f32".into()],
+            Precision::F16 => vec!["field.precision = \"f16\" is for GPUs: the CPU computes in f32".into()],
             Precision::Bf16 if self.precision(config) == Precision::F32 => vec![
-                "field.precision = \"bf16\" is no faster than f32 on this processor: it computes in f32"
+                "field.precision = \"bf16\" is no faster than f32 on this processor: the CPU computes in f32"
                     .into(),
             ],
             Precision::F32 | Precision::Bf16 => Vec::new(),

@@ -48,7 +48,7 @@ impl DataParallel {
             };
             return Err(Error::input(
                 format!("{} ranks", this_rank.size),
-                format!("a step of the CPU backend has {leaves} leaves here"),
+                format!("are more than the {leaves} leaves of a step of the CPU backend"),
                 advice,
             ));
         }

@@ -63,7 +63,7 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize
         ("gradient".into(), floats(layout.len())),
         ("AdamW moments".into(), floats(2 * layout.len())),
         (
-            "what derives from the parameters, and its gradient".into(),
+            "values derived from the parameters, and their gradient".into(),
             encoders::of(config).derived_bytes(config),
         ),
         (

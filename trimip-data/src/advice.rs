@@ -6,7 +6,8 @@ use trimip_core::plural::count;
 
 /// The next command for a folder that holds no scene, in words.
 pub(crate) fn advice(root: &Path) -> String {
-    Next::of(root, root, root).map_or_else(|| "name a folder with one of them".into(), |next| next.text)
+    Next::of(root, root, root)
+        .map_or_else(|| "name a folder with one of these files".into(), |next| next.text)
 }
 
 /// The next step for a folder without a scene.
@@ -30,7 +31,7 @@ impl Next {
             return Some(capture);
         }
         if let Some(zip) = &material.zip {
-            return unpacked(format!("name {}, which is unpacked then", shown(zip)));
+            return unpacked(format!("name {}, which is then unpacked", shown(zip)));
         }
         unpacked(format!("unpack {}, and name the folder in it", shown(material.archive.as_ref()?)))
     }
@@ -117,10 +118,10 @@ mod tests {
                     "colmap mapper --database_path ROOT/database.db --image_path ROOT/images",
                 ],
             ),
-            (&["lego.zip"], &["name ROOT/lego.zip, which is unpacked then"]),
+            (&["lego.zip"], &["name ROOT/lego.zip, which is then unpacked"]),
             (&["lego.7z", "lego.tar"], &["unpack ROOT/lego.7z, and name the folder in it"]),
             (&["my walk/0.jpg"], &[": trimip-cli capture ROOT"]),
-            (&["notes.txt"], &["name a folder with one of them"]),
+            (&["notes.txt"], &["name a folder with one of these files"]),
         ];
         for (files, expected) in table {
             let folder = tempfile::tempdir().unwrap();

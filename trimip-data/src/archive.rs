@@ -98,15 +98,19 @@ fn is_there(archive: &Path, folder: &Path, mark: &Value, wanted: &Wanted<'_>) ->
     match marked(folder) {
         Some(found) if ["bytes", "fingerprint"].iter().all(|key| found[*key] == mark[*key]) => Ok(true),
         Some(found) => refused(
-            format!("was unpacked from another archive ({}) than {}", found["archive"], archive.display()),
+            format!(
+                "was unpacked from another archive ({}), not from {}",
+                found["archive"],
+                archive.display()
+            ),
             format!("remove or rename it, {name_it}"),
         ),
         None if (wanted.is_scene)(folder) => refused(
-            format!("is where {} is to be unpacked, and holds a scene already", archive.display()),
+            format!("already holds a scene, so {} cannot be unpacked there", archive.display()),
             format!("name {}, or rename one of the two", folder.display()),
         ),
         None => refused(
-            format!("is where {} is to be unpacked, and was not made by this program", archive.display()),
+            format!("was not made by this program, so {} cannot be unpacked there", archive.display()),
             format!("rename one of the two, {name_it}"),
         ),
     }
@@ -154,7 +158,7 @@ fn unpack(
         Error::input(
             archive.display(),
             what,
-            "copy it to where there is room, or unpack it elsewhere and name the folder",
+            "copy the archive to a disk with more space, or unpack it elsewhere and name the folder",
         )
     };
     let root = temporary(archive);
@@ -238,7 +242,7 @@ fn scene(archive: &Path, root: &Path, named: &Path, wanted: &Wanted<'_>) -> Resu
         Some(next) => (looked, format!("unpack it to {}: {}", named.display(), next.text)),
         None => (
             format!("{looked}, and found {}", held(root)),
-            "name an archive or a folder with one of them".into(),
+            "name an archive or a folder with one of these files".into(),
         ),
     };
     Err(Error::input(archive.display(), what, advice))

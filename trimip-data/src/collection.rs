@@ -38,7 +38,7 @@ impl Collection {
         if there.is_empty() {
             return Err(Error::input(
                 folder.display(),
-                "holds no scene, and none of the folders chair, drums, ficus, hotdog, lego, materials, mic, ship with one",
+                "holds no scene, and no folder chair, drums, ficus, hotdog, lego, materials, mic or ship with a scene",
                 "name the folder of a scene, with transforms_train.json or metadata.json, or the folder of these scenes",
             ));
         }

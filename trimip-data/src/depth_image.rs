@@ -102,10 +102,7 @@ impl DepthImage {
             match picture.color {
                 ColorType::L16 => {}
                 ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8 => {
-                    return Err(wrong(
-                        &file.path,
-                        "has 8 bits: it is a picture to look at and holds no depths",
-                    ));
+                    return Err(wrong(&file.path, "has 8 bits: it visualises depths and does not hold them"));
                 }
                 _ => return Err(wrong(&file.path, "has colours: it holds no depths")),
             }
@@ -116,19 +113,23 @@ impl DepthImage {
         let own = [photograph.width, photograph.height];
         if !alike(size, own) {
             let what = format!(
-                "is {width}x{height} pixels, image {} {}x{}",
+                "is {width}x{height} pixels, but image {} is {}x{}",
                 photograph.path.display(),
                 own[0],
                 own[1]
             );
             let what = format!("depth image {} {what}", file.path.display());
-            let advice = "make it of the photograph's shape, or set data.depths = false";
+            let advice = "use a depth image of the photograph's shape, or set data.depths = false";
             return Err(Error::input(&photograph.place, what, advice));
         }
         let confidence = file.confidence.as_deref().map(open).transpose()?;
         if let Some(own) = confidence.as_ref().filter(|own| [own.width, own.height] != size) {
-            let what =
-                format!("is {width}x{height} pixels, {} {}x{}", own.path.display(), own.width, own.height);
+            let what = format!(
+                "is {width}x{height} pixels, but {} is {}x{}",
+                own.path.display(),
+                own.width,
+                own.height
+            );
             return Err(wrong(&file.path, &what));
         }
         Ok(Self { file: file.clone(), picture, confidence, size })

@@ -122,7 +122,7 @@ impl DepthImages {
             sources.iter().zip(&found).filter(empty).map(|(source, _)| source).collect();
         if let [first, ..] = empty[..] {
             warnings.push(format!(
-                "{} of {} hold no depth, the first that of {}: 0 is unknown",
+                "{} of {} hold no depth, the first that of {}: 0 marks an unknown depth",
                 empty.len(),
                 count(images, "depth image"),
                 first.name
@@ -272,7 +272,7 @@ fn other_unit(mut depths: Vec<f64>, sources: &[Source]) -> Option<String> {
     // The usual mistake is metres for millimetres or the reverse, a power of 1000.
     let likely = 1e3_f64.powi(-(times.log10() / 3.0).round() as i32);
     Some(format!(
-        "the median of the depth images is {median:.3e}, which is {times:.1e} times the extent of the cameras: is \
-         depth_unit_scale_factor {likely:e} times as large?"
+        "the median of the depth images is {median:.3e}, which is {times:.1e} times the extent of the cameras: \
+         should depth_unit_scale_factor be {likely:e} times as large?"
     ))
 }

@@ -19,7 +19,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     let convention = match train.alpha {
         Alpha::Straight => "straight RGBA means, truncated (public convention)",
         Alpha::Premultiplied => "premultiplied RGBA means, rounded",
-        Alpha::Kept => "means over what masks keep, rounded",
+        Alpha::Kept => "means over the pixels that masks keep, rounded",
     };
     let mut lines = vec![
         format!(
@@ -40,7 +40,10 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
         ),
     ];
     if !survey.origin.is_zero() {
-        lines.push(format!("coordinates count from {} of the files (data.origin)", survey.origin));
+        lines.push(format!(
+            "coordinates are relative to the point {} of the files (data.origin)",
+            survey.origin
+        ));
     }
     lines.extend(survey.unpacked.iter().chain(&survey.notes).cloned());
     lines.extend(masks::described(&survey.train, train));

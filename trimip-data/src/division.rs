@@ -87,7 +87,7 @@ pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &st
             let frame = match index.find(named) {
                 Match::One(frame) => frame,
                 Match::None => return Err(wrong("is no frame of the file".into())),
-                Match::Several => return Err(wrong("may be several frames of the file".into())),
+                Match::Several => return Err(wrong("matches several frames of the file".into())),
             };
             match owners[frame].replace(own) {
                 Some(other) if other == *own => return Err(wrong("is in the list twice".into())),
@@ -113,7 +113,7 @@ pub(crate) fn unknown(place: &Path, split: &str, known: &str) -> Error {
 pub(crate) fn empty(place: &Path, split: &str, frames: usize, selection: &Selection) -> Error {
     let advice = match selection {
         Selection::All => "export the frames again",
-        Selection::Train | Selection::Test => "at least two frames are needed",
+        Selection::Train | Selection::Test => "add frames: at least two are needed",
         Selection::Listed(..) => "add frames to its list",
     };
     Error::input(place.display(), format!("has no frame for split \"{split}\" among its {frames}"), advice)

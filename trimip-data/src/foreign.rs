@@ -46,7 +46,9 @@ impl Foreign {
         let shown = |path: &Path| path.display().to_string();
         let command =
             self.command.replace("IN", &shown(path)).replace("OUT", &shown(&path.with_extension("")));
-        format!("convert it and all like it to PNG or JPEG of the same size, e.g. {command}, and name those")
+        format!(
+            "convert it and all similar files to PNG or JPEG of the same size, e.g. {command}, and name the converted files"
+        )
     }
 }
 

@@ -88,7 +88,9 @@ pub(crate) fn alike(sizes: [u32; 2], own: [u32; 2]) -> bool {
 pub(crate) fn scaled_along(file: &Path, factors: impl IntoIterator<Item = [f64; 2]>) -> Option<String> {
     let [x, _] = factors.into_iter().find(|factors| *factors != [1.0; 2])?;
     let file = file.display();
-    Some(format!("the photographs of {file} are {x:.4} times as wide as it states: cameras are scaled along"))
+    Some(format!(
+        "the photographs of {file} are {x:.4} times as wide as the file states: the cameras are scaled to match"
+    ))
 }
 
 /// The error for a photograph of another size than the stated one.
@@ -99,7 +101,7 @@ fn other_size(image: &Photograph, [width, height]: [u32; 2]) -> Error {
         image.width,
         image.height
     );
-    let advice = "use the images the cameras were computed for, or others of their shape";
+    let advice = "use the images that the cameras were computed for, or images of the same shape";
     Error::input(&image.place, what, advice)
 }
 
@@ -118,7 +120,7 @@ pub(crate) fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: 
         Error::input(
             &file.place,
             format!("has no focal length ({keys})"),
-            format!("add one of the keys, or add it to {}", frame.place),
+            format!("add one of these keys to the file, or to {}", frame.place),
         )
     })?;
     let centre = |key: &str, side: u32| -> Result<f64> {
@@ -161,7 +163,7 @@ fn positive(node: &Node<'_>, key: &str, stated: f64, focal: f64) -> Result<f64> 
     }
     Err(Error::input(
         &node.place,
-        format!("\"{key}\" is {stated}, which makes no positive focal length"),
+        format!("\"{key}\" is {stated}, which gives no positive focal length"),
         "expected pixels above 0 for a length, radians between 0 and pi for an angle",
     ))
 }

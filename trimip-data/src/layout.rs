@@ -78,7 +78,7 @@ impl Layout {
             READERS.iter().filter_map(|reader| reader.images).map(str::to_string).collect();
         (!config.images.is_empty() && self.reader.images.is_none()).then(|| {
             let readers = listed(&readers, "and");
-            format!("data.images is read for {readers} alone, and this is a {}", self.reader.name)
+            format!("data.images applies only to {readers}, and this is a {}", self.reader.name)
         })
     }
 }
@@ -143,7 +143,7 @@ fn detect(config: &DataConfig) -> Result<&'static Reader> {
 /// The reader with that value of `data.format`.
 fn of_format(format: &str) -> Result<&'static Reader> {
     READERS.iter().copied().find(|reader| reader.format == format).ok_or_else(|| {
-        let what = format!("\"{format}\" is no layout of a scene");
+        let what = format!("\"{format}\" is not a layout of scenes");
         Error::input("data.format", what, format!("expected {}", formats()))
     })
 }

@@ -74,8 +74,8 @@ pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
         let stated: Vec<String> = stated.map(|(key, term)| format!("{key} = {term}")).collect();
         Err(Error::input(
             &frame.place,
-            format!("\"camera_model\" is {model}, and {}", stated.join(", ")),
-            format!("this model has {known}: name the model of these numbers, or remove them"),
+            format!("\"camera_model\" is {model}, but the coefficients are {}", stated.join(", ")),
+            format!("this model has {known}: name the model of these coefficients, or remove them"),
         ))
     };
     let (own, model) = model(file, frame)?;
@@ -131,7 +131,7 @@ fn model(file: &Node<'_>, frame: &Node<'_>) -> Result<(Model, &'static str)> {
         Error::input(
             &node.place,
             format!("\"camera_model\" is \"{}\"", named.chars().take(80).collect::<String>()),
-            format!("known are {}; undistort the images to one of them", names.join(", ")),
+            format!("known models are {}; undistort the images to one of them", names.join(", ")),
         )
     })
 }

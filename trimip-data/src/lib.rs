@@ -81,6 +81,7 @@ pub use material_archive::unpack_material;
 pub use points::{Observation, Point};
 pub use scene::{Scene, TestSet, open, open_test, open_watched};
 pub use section::SECTION;
+pub use settings::DataConfig;
 pub use watch::{Watch, unwatched};
 pub use write::{Summary, write_builtin, write_multiscale};
 pub use zip::is_archive;

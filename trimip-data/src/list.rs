@@ -29,12 +29,15 @@ pub(crate) fn divide(root: &Path, named: &str, sources: Vec<Source>) -> Result<(
     }
     if !absent.is_empty() {
         return wrong(
-            format!("names no frame of the scene: {}", some(&absent)),
-            "correct or remove the lines",
+            format!("lists names that match no frame of the scene: {}", some(&absent)),
+            "correct or remove these lines",
         );
     }
     if !several.is_empty() {
-        return wrong(format!("names more than one frame: {}", some(&several)), "write their folders too");
+        return wrong(
+            format!("lists names that match more than one frame: {}", some(&several)),
+            "add the folders to these names",
+        );
     }
     let (test, train): (Vec<_>, Vec<_>) = sources.into_iter().zip(tested).partition(|(_, tested)| *tested);
     if test.is_empty() || train.is_empty() {

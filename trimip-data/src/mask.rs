@@ -38,7 +38,7 @@ impl Mask {
             return Err(Error::input(
                 &photograph.place,
                 format!(
-                    "mask {} is {}x{} pixels, image {} {}x{}",
+                    "mask {} is {}x{} pixels, but image {} is {}x{}",
                     file.path.display(),
                     file.width,
                     file.height,

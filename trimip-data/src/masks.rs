@@ -75,7 +75,7 @@ pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<A
         return Err(Error::input(
             config.root.as_str(),
             format!(
-                "mask {} marks an object, mask {} what is to be ignored, or the other way round",
+                "mask {} marks an object, but mask {} marks pixels to ignore, or the other way round",
                 first.path().display(),
                 other.path().display()
             ),
@@ -98,7 +98,7 @@ fn unshared(sources: &[&mut Source], found: &[Option<(Kind, Mask)>]) -> Result<(
         if let Some(before) = before.filter(|before| before.path != file.path) {
             return Err(Error::input(
                 &file.place,
-                format!("mask {} would also be that of {}", mask.path().display(), before.path.display()),
+                format!("mask {} would also be the mask of {}", mask.path().display(), before.path.display()),
                 "give the folder of masks the same subfolders as the photographs, or set data.masks = \"none\"",
             ));
         }
@@ -169,7 +169,7 @@ impl MaskSearch<'_> {
         let what = match tried.as_slice() {
             [] => "there is no photograph that could have a mask".to_string(),
             tried => format!(
-                "holds no mask of {}: looked for {}, and for {} instead",
+                "holds no mask of {}: looked for {}, and for the same names with {}",
                 count(files().count(), "photograph"),
                 tried.join(", "),
                 ENDINGS[1..].join(", ")
@@ -214,7 +214,7 @@ pub(crate) fn missing(config: &DataConfig, sources: &[&Source]) -> Option<String
             first.name
         )),
         Some(first) if config.masks.is_empty() && photographs && folder.is_dir() => Some(format!(
-            "{} has no mask of a photograph: masks/{}.png would be one",
+            "{} holds no mask of a photograph: expected names such as masks/{}.png",
             folder.display(),
             first.name
         )),

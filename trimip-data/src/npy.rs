@@ -96,7 +96,7 @@ struct Header {
 
 impl Header {
     fn of(name: &str, bytes: &[u8], advice: &str) -> Result<Self> {
-        let wrong = |what: String| Error::input(name, format!("is no table of NumPy: {what}"), advice);
+        let wrong = |what: String| Error::input(name, format!("is not a table of NumPy: {what}"), advice);
         Self::parse(bytes).map_err(wrong)
     }
 
@@ -108,7 +108,7 @@ impl Header {
         if stated == Some(follow) {
             return Ok(());
         }
-        let what = format!("states {rows} x {columns} numbers of {size} bytes, and {follow} bytes follow");
+        let what = format!("states {rows} x {columns} numbers of {size} bytes, but {follow} bytes follow");
         Err(Error::input(name, what, advice))
     }
 
@@ -120,13 +120,13 @@ impl Header {
 
     /// The error says what is wrong.
     fn parse(bytes: &[u8]) -> std::result::Result<Self, String> {
-        let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("its first bytes are others")?;
+        let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("its first bytes are wrong")?;
         let (&[major, _], rest) = rest.split_first_chunk().ok_or("it ends early")?;
         let (length, rest) = match (major, rest) {
             (1, [a, b, rest @ ..]) => (usize::from(u16::from_le_bytes([*a, *b])), rest),
             (2 | 3, [a, b, c, d, rest @ ..]) => (u32::from_le_bytes([*a, *b, *c, *d]) as usize, rest),
             (1..=3, _) => return Err("it ends early".into()),
-            _ => return Err(format!("it has the version {major} of the format, known are 1 to 3")),
+            _ => return Err(format!("it has version {major} of the format, but only 1 to 3 are known")),
         };
         let (text, values) = rest.split_at_checked(length).ok_or("its header ends early")?;
         let text = std::str::from_utf8(text).map_err(|_| "its header is no text")?;
@@ -145,7 +145,12 @@ impl Header {
             "<f4" => (false, 4),
             ">f8" => (true, 8),
             ">f4" => (true, 4),
-            _ => return Err(format!("its numbers are '{}', known are f8 and f4", kind.escape_debug())),
+            _ => {
+                return Err(format!(
+                    "its numbers are '{}', but only f8 and f4 are known",
+                    kind.escape_debug()
+                ));
+            }
         };
         let order = after("fortran_order")?;
         let by_columns = order.starts_with("True");
@@ -226,13 +231,13 @@ mod tests {
             (b"\x93NUMPY\x09\0\0\0".to_vec(), "version 9"),
             (b"\x93NUMPY\x02\0\xff\xff\xff\xff{".to_vec(), "header ends early"),
             (of("{}"), "no 'descr'"),
-            (of(&header("<i8", "False", "(2, 3)")), "'<i8', known are f8 and f4"),
+            (of(&header("<i8", "False", "(2, 3)")), "'<i8', but only f8 and f4 are known"),
             (of(&header("<f8", "Maybe", "(2, 3)")), "neither True nor False"),
             (of(&header("<f8", "False", "(2, 3, 1)")), "holds 2 x 3 x 1 numbers, expected 3"),
             (of(&header("<f8", "False", "(6,)")), "expected two numbers"),
             (of(&header("<f8", "False", "(3, 2)")), "holds 3 x 2 numbers, expected 3"),
-            (of(&header("<f8", "False", "(9223372036854775808, 3)")), "and 48 bytes follow"),
-            (plain[..end - 1].to_vec(), "and 47 bytes follow"),
+            (of(&header("<f8", "False", "(9223372036854775808, 3)")), "but 48 bytes follow"),
+            (plain[..end - 1].to_vec(), "but 47 bytes follow"),
             (infinite, "not finite in row 1"),
         ];
         for (bytes, expected) in cases {

@@ -66,7 +66,7 @@ impl Photograph {
         let (width, height) = decoder.dimensions();
         if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
             let what = format!("image {} has pixels of floating-point numbers", path.display());
-            return Err(Error::input(place, what, "convert it and all like it to 8 or 16 bits"));
+            return Err(Error::input(place, what, "convert it and all similar images to 8 or 16 bits"));
         }
         let color = decoder.color_type();
         if width == 0 || height == 0 || u64::from(width) * u64::from(height) > MAX_PIXELS {
@@ -109,7 +109,7 @@ impl Photograph {
             Some(available) => Err(Error::input(
                 &self.place,
                 format!(
-                    "image {} of {}x{} pixels takes {:.1} GB to read, and {:.1} GB are available",
+                    "image {} of {}x{} pixels takes {:.1} GB to read, but only {:.1} GB are available",
                     self.path.display(),
                     self.width,
                     self.height,

@@ -98,7 +98,7 @@ impl Pictures {
                     count(several.len(), "picture"),
                     told[..told.len().min(3)].join(", ")
                 );
-                Err(Error::input(place, what, "name one of them, or leave only that one there"))
+                Err(Error::input(place, what, "name one of them, or keep only the one that is meant"))
             }
         }
     }
@@ -204,7 +204,7 @@ fn list(root: &Path) -> List {
 fn missing(named: &str, candidates: &[PathBuf], place: &Place) -> Error {
     if let Some((path, format)) = candidates.iter().find_map(|path| foreign::beside(path)) {
         let what = format!(
-            "image {} does not exist; {} beside it is {}, which is not read",
+            "image {} does not exist; {} in its folder is {}, which is not read",
             candidates[0].display(),
             path.display(),
             format.name
@@ -240,7 +240,7 @@ fn resolved<'a>(
                 true => Err(Error::input(
                     place,
                     format!(
-                        "image {named} does not exist, and {} is that of another entry",
+                        "image {named} does not exist, and {} belongs to another entry",
                         location.path.display()
                     ),
                     "copy the photographs into the folders that the entries name",
@@ -256,12 +256,12 @@ fn resolved<'a>(
 fn moved(file: &Path, resolved: &[(&str, Result<Location>)]) -> Option<String> {
     let is_moved = |(named, found): &'_ (&str, Result<Location>)| {
         let location = found.as_ref().ok().filter(|location| location.moved)?;
-        Some(format!("{named} is {}", location.path.display()))
+        Some(format!("{named} is at {}", location.path.display()))
     };
     let moved: Vec<String> = resolved.iter().filter_map(is_moved).collect();
     let first = moved.first()?;
     let all = count(resolved.len(), "photograph");
-    Some(format!("{}: {} of {all} lie elsewhere than it says: {first}", file.display(), moved.len()))
+    Some(format!("{}: {} of {all} are not where the file says: {first}", file.display(), moved.len()))
 }
 
 /// Finds the photographs of all entries of `file`, in their order. A warning reports photographs that are not where their entries say.
@@ -310,7 +310,7 @@ pub(crate) fn of_most_entries<'a>(
         if 2 * missing.len() > resolved.len() {
             if let Some((path, format)) = foreign::beside(&pictures.folder.join(first)) {
                 let what =
-                    format!("{what}; {} beside it is {}, which is not read", path.display(), format.name);
+                    format!("{what}; {} in its folder is {}, which is not read", path.display(), format.name);
                 return Err(Error::input(file.display(), what, format.remedy(&path)));
             }
             let advice = "copy them there, or set data.images to their folder";
@@ -402,12 +402,12 @@ mod tests {
         assert!(
             warning
                 .unwrap()
-                .starts_with("a.json: 1 of 1 photograph lie elsewhere than it says: /x/images/a.png is ")
+                .starts_with("a.json: 1 of 1 photograph are not where the file says: /x/images/a.png is at ")
         );
         let error = of(&["left/a.png", "right/a.png"]).unwrap_err();
-        assert!(error.message().contains("is that of another entry"), "{error}");
+        assert!(error.message().contains("belongs to another entry"), "{error}");
         let error = of(&["images/b.png", "images/a.png", "images/c.png"]).unwrap_err();
         assert!(error.message().contains("images/b.png does not exist"), "{error}");
-        assert!(error.message().ends_with("(1 more of 3 photographs are missing)"), "{error}");
+        assert!(error.message().ends_with("; 1 more of 3 photographs are missing"), "{error}");
     }
 }

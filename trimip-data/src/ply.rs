@@ -197,7 +197,7 @@ impl<'a> Rest<'a> {
             return Ok(());
         }
         let what = format!(
-            "{} rows of element \"{}\" are more than the {left} bytes after the header can hold",
+            "{} rows of element \"{}\" do not fit into the {left} bytes after the header",
             element.rows,
             shown(element.name)
         );
@@ -305,7 +305,7 @@ impl<'a> Rest<'a> {
     fn word(&self, words: &mut SplitAsciiWhitespace<'_>, property: &Property<'_>) -> Result<f64> {
         let name = shown(property.name);
         let word = words.next().ok_or_else(|| self.wrong_line(format!("ends where \"{name}\" belongs")))?;
-        word.parse().map_err(|_| self.wrong_line(format!("\"{}\" as \"{name}\" is no number", shown(word))))
+        word.parse().map_err(|_| self.wrong_line(format!("\"{name}\" is \"{}\", not a number", shown(word))))
     }
 }
 
@@ -386,10 +386,10 @@ mod tests {
             (format!("{head}property vec3 w\n"), "p.ply:7: \"property vec3 w\""),
             (head.to_string(), "p.ply:6: the file ends within its header"),
             (format!("{head}end_header\n1.00 2 3\n4 5\n"), "p.ply:9: ends where \"z\" belongs"),
-            (format!("{head}end_header\n1 2 3\n4 5 six\n"), "p.ply:9: \"six\" as \"z\" is no number"),
+            (format!("{head}end_header\n1 2 3\n4 5 six\n"), "p.ply:9: \"z\" is \"six\", not a number"),
             (format!("{head}end_header\n1 2 3 4\n4 5 6\n"), "p.ply:8: \"4\" follows"),
             (format!("{head}end_header\n1 2 3\n           \n"), "p.ply:9: the file ends"),
-            (format!("{head}end_header\n1 2 3\n"), "2 rows of element \"vertex\" are more than the 6 bytes"),
+            (format!("{head}end_header\n1 2 3\n"), "2 rows of element \"vertex\" do not fit into the 6 bytes"),
             ("ply\nformat ascii 1.0\nelement face 0\nend_header\n".into(), "p.ply: has no element \"vertex\""),
             (
                 "ply\nformat binary_little_endian 1.0\nelement vertex 18446744073709551615\nproperty float x\n\

@@ -77,7 +77,7 @@ impl Cloud {
         let named = if sure.len() == self.points.len() {
             count(sure.len(), "point")
         } else {
-            format!("{} sure ones of {}", sure.len(), count(self.points.len(), "point"))
+            format!("{} reliable ones of {}", sure.len(), count(self.points.len(), "point"))
         };
         Some(StatedBox {
             aabb: around(&sure),
@@ -141,7 +141,7 @@ mod tests {
         points.extend((0..100).map(|i| point(-50.0 - f64::from(i), Some(9), Some(2.1))));
         let found = Cloud { points: points.clone(), frames: Vec::new() }.stated("here").unwrap();
         assert_eq!(found.aabb, sure.aabb);
-        assert_eq!(found.source, "around 200 sure ones of 400 points here");
+        assert_eq!(found.source, "around 200 reliable ones of 400 points here");
         // Without such data every point counts.
         let plain = points.iter().map(|p| Point { error: None, seen: None, ..p.clone() }).collect();
         assert!(Cloud { points: plain, frames: Vec::new() }.stated("here").unwrap().aabb.max[0] > 100.0);

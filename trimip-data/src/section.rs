@@ -20,18 +20,18 @@ impl Section for DataConfig {
     fn check(&self, to: &Checker<'_>) -> Result<()> {
         if !layout::is_format(&self.format) {
             let expected = format!("expected {}", layout::formats());
-            return Err(Error::input(to.place("data.format"), "no layout of a scene", expected));
+            return Err(Error::input(to.place("data.format"), "is not a layout of scenes", expected));
         }
         to.check(self.holdout != 1, "data.holdout", "0, or 2 and more")?;
         to.check(
             self.holdout == 0 || self.test_list.is_empty(),
             "data.test_list",
-            "\"\" where data.holdout keeps frames back",
+            "\"\" if data.holdout holds out frames",
         )?;
         to.check(
             self.holdout_by == HoldoutBy::Stride || self.test_list.is_empty(),
             "data.test_list",
-            "\"\" where data.holdout_by = \"sector\" chooses the test frames",
+            "\"\" if data.holdout_by = \"sector\" chooses the test frames",
         )?;
         to.check(!self.train.is_empty(), "data.train", "at least one split")?;
         let once = |(i, split)| !self.train[..i].contains(split);

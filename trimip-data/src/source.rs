@@ -130,7 +130,7 @@ impl Source {
             return Err(Error::input(
                 &file.place,
                 format!(
-                    "image {} has transparent pixels, and masks say what is to be ignored: alpha cannot mean both",
+                    "image {} has transparent pixels, and the masks mark pixels to ignore: alpha cannot mean both",
                     file.path.display()
                 ),
                 "set data.mask_role = \"object\" or data.masks = \"none\"",

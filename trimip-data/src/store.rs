@@ -46,7 +46,7 @@ pub(crate) fn filled(
         Error::input(
             "data.pixels",
             format!(
-                "{} take {needed} in a file of {}: {error}",
+                "{} need {needed} in a file in {}: {error}",
                 count(pixels, "pixel"),
                 std::env::temp_dir().display()
             ),

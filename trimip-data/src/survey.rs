@@ -106,7 +106,7 @@ impl Survey {
         };
         let rendered = self.train.iter().any(|source| matches!(source.pixels, Pixels::Rendered { .. }));
         if rendered && !origin.is_zero() {
-            let what = format!("is {origin}, and the built-in scene is rendered at its own origin");
+            let what = format!("is {origin}, but the built-in scene is rendered at its own origin");
             return Err(Error::input("data.origin", what, "leave it out"));
         }
         for (_, camera) in self.train.iter_mut().chain(&mut self.test).flat_map(|source| &mut source.views) {
@@ -146,8 +146,8 @@ fn leave_out_lost(train: &mut Vec<Source>, test: &mut Vec<Source>) -> Option<Str
     train.retain(&mut is_kept);
     test.retain(is_kept);
     Some(format!(
-        "{} of {all} photographs, the first {named}, have cameras more than {LOST} times as far from the middle of all as half of them: \
-         their poses are wrong, and they are left out",
+        "{} of {all} photographs, the first {named}, have cameras whose distance from the middle of all cameras is more than {LOST} times \
+         the median: their poses are wrong, and they are left out",
         lost.len()
     ))
 }
@@ -210,7 +210,7 @@ fn listed(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Div
         (every, _) => Some(format!("data.holdout = {every}")),
     };
     if let Some(other) = other {
-        let what = format!("and {other} both choose the test frames");
+        let what = format!("chooses the test frames, and so does {other}");
         return Err(Error::input("data.test_list", what, "set one of them"));
     }
     let frames = layout.listable(config)?.into_iter().flat_map(|part| facts.take(part)).collect();
@@ -236,7 +236,9 @@ fn tested(
         if !validated {
             let held = match config.holdout_by {
                 HoldoutBy::Stride => format!("every {HOLD_OUT}th training frame is held out"),
-                HoldoutBy::Sector => format!("one training frame in {HOLD_OUT} is held out, one sector,"),
+                HoldoutBy::Sector => {
+                    format!("one training frame in {HOLD_OUT}, all in one sector, is held out")
+                }
             };
             facts
                 .warnings
@@ -249,7 +251,7 @@ fn tested(
         split = VAL;
     }
     if config.holdout_by == HoldoutBy::Sector {
-        let what = format!("is \"sector\", and the scene has the test frames of its split \"{split}\"");
+        let what = format!("is \"sector\", but the scene has test frames in its split \"{split}\"");
         let advice = format!(
             "set data.holdout to {HOLD_OUT} to hold out training frames in their place, or data.holdout_by to \"stride\""
         );
@@ -285,7 +287,7 @@ fn shrink(
     }
     warnings.push(format!(
         "the photographs are read at 1/{} of their width: {:.0} M training pixels are more than data.most_pixels = {:.0} M; \
-         scale 1 is theirs",
+         scale 1 is this reduced size",
         1 << halvings,
         1e-6 * pixels,
         1e-6 * config.most_pixels

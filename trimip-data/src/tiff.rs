@@ -48,7 +48,7 @@ fn directory(source: &mut (impl Read + Seek), end: u64) -> io::Result<()> {
         let size = SIZES.get(kind.wrapping_sub(1)).copied().unwrap_or(0);
         let bytes = number(&entry[4..4 + offset]).saturating_mul(size);
         if bytes > offset as u64 && bytes.saturating_add(number(&entry[4 + offset..])) > end {
-            return Err(io::Error::new(ErrorKind::InvalidData, "the values of an entry end behind the file"));
+            return Err(io::Error::new(ErrorKind::InvalidData, "the values of an entry end beyond the file"));
         }
     }
     Ok(())

@@ -31,8 +31,8 @@ pub(crate) fn orientation<'a>(sources: impl Iterator<Item = &'a Source>) -> Opti
     let first = doubtful.next()?;
     let count = 1 + doubtful.count();
     Some(format!(
-        "{count} photographs, the first {}, have an EXIF orientation that is not applied, as no stated size asks for it; if \
-         their cameras are for the turned ones, turn the pixels (magick mogrify -auto-orient) or state w and h",
+        "{count} photographs, the first {}, have an EXIF orientation that is not applied, because no stated size requires it; \
+         if the cameras are those of the turned photographs, turn the pixels (magick mogrify -auto-orient) or state w and h",
         first.path.display()
     ))
 }
@@ -45,7 +45,7 @@ pub(crate) fn alpha(train: &[Source], alpha: Alpha) -> Option<String> {
     let total = files().count();
     (0 < masked && masked < total).then(|| {
         format!(
-            "{} of {total} training images {} no alpha, and the others have: all that they show is taken for the object",
+            "{} of {total} training images {} no alpha, unlike the others: every pixel without alpha counts as the object",
             total - masked,
             if total - masked == 1 { "has" } else { "have" }
         )

@@ -43,14 +43,14 @@ fn parts(
         // Data of odd length is padded by a byte, which some programs omit at the end of the file.
         at = (data.end + length % 2).min(range.end);
         if data.end > range.end {
-            return Err(wrong("a part ends behind the file"));
+            return Err(wrong("a part ends beyond the file"));
         }
         match &[a, b, c, d] {
             b"VP8X" => {
                 let [_, _, _, _, w0, w1, w2, h0, h1, h2] = first(source)?;
                 size = Some([[w0, w1, w2], [h0, h1, h2]].map(side));
             }
-            b"ANMF" if in_picture => return Err(wrong("a picture of the animation holds another")),
+            b"ANMF" if in_picture => return Err(wrong("a picture of the animation contains another")),
             b"ANMF" => {
                 let [_, _, _, _, _, _, w0, w1, w2, h0, h1, h2, _, _, _, _] = first(source)?;
                 let own = [[w0, w1, w2], [h0, h1, h2]].map(side);
@@ -66,7 +66,7 @@ fn parts(
                 let own = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side) & 0x3fff));
                 expect(own, size)?;
                 if 10 + u64::from(first) > length {
-                    return Err(wrong("a part ends behind the file"));
+                    return Err(wrong("a part ends beyond the file"));
                 }
             }
             b"VP8L" => {

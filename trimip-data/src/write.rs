@@ -72,7 +72,7 @@ pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) ->
     if !survey.alpha.is_opacity() {
         return Err(Error::input(
             "data.mask_role",
-            "the multi-scale layout has no place for masks of what is to be ignored",
+            "the multi-scale layout cannot store masks of pixels to ignore",
             "set it to \"object\", or data.masks to \"none\"",
         ));
     }
@@ -259,7 +259,7 @@ fn put(path: &Path, bytes: &[u8]) -> Result<()> {
         Err(error) if error.kind() == ErrorKind::NotFound => write_atomically(path, bytes),
         Ok(_) => Err(Error::input(
             path.display(),
-            "exists already, and differs",
+            "exists already with other contents",
             "choose another folder or remove it",
         )),
         Err(error) => Err(unwritable(path, &error)),

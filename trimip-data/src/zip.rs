@@ -93,7 +93,7 @@ impl<R: ReaderAt> Zip<R> {
                 unreadable(name, error)
             }
             rawzip::ErrorKind::InvalidEndOfCentralDirectory => {
-                damaged(name, &"its directory is not where it states")
+                damaged(name, &"its directory is not at the stated position")
             }
             _ => Error::input(name, "is no zip archive, or its end is missing", AGAIN),
         })?;
@@ -111,7 +111,7 @@ impl<R: ReaderAt> Zip<R> {
             bytes = bytes.saturating_add(file.bytes());
             if bytes > most {
                 let what = format!(
-                    "states files of more than {:.1} GB, and has {length} bytes itself",
+                    "states files of more than {:.1} GB, but has only {length} bytes itself",
                     1e-9 * most as f64
                 );
                 return Err(Error::input(name, what, UNPACK));
@@ -120,7 +120,7 @@ impl<R: ReaderAt> Zip<R> {
         }
         // Some programs write only the lowest 16 bits of the number.
         if listed % (1 << 16) != archive.entries_hint() % (1 << 16) {
-            let what = format!("states {} entries and lists {listed}", archive.entries_hint());
+            let what = format!("states {} entries but lists {listed}", archive.entries_hint());
             return Err(Error::input(name, what, AGAIN));
         }
         if files.is_empty() {
@@ -133,7 +133,7 @@ impl<R: ReaderAt> Zip<R> {
         let mut paths: Vec<&str> = files.iter().map(|file| file.path.as_str()).collect();
         paths.sort_unstable();
         if let Some(pair) = paths.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(Error::input(format!("{name}: {}", pair[0]), "stands in the archive twice", UNPACK));
+            return Err(Error::input(format!("{name}: {}", pair[0]), "is in the archive twice", UNPACK));
         }
         let is_file = |above: &str| paths.binary_search(&above).is_ok();
         let above = |path: &'_ str| {
@@ -142,7 +142,7 @@ impl<R: ReaderAt> Zip<R> {
         if let Some(both) = paths.iter().find_map(|path| above(path)) {
             return Err(Error::input(
                 format!("{name}: {both}"),
-                "is a file and a folder in the archive",
+                "is both a file and a folder in the archive",
                 UNPACK,
             ));
         }
@@ -214,12 +214,12 @@ fn file(name: &Place, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Resul
     }
     let reserved = |c: char| c.is_control() || cfg!(windows) && "<>:\"|?*".contains(c);
     if parts.is_empty() || text.contains(reserved) {
-        return refused("its name is none that a file can have", UNPACK);
+        return refused("its name is not a valid file name", UNPACK);
     }
     if entry.mode().is_symlink() {
         return refused(
             "is a symbolic link",
-            "pack the file that it stands for, or unpack it and name the folder",
+            "pack the file that the link points to, or unpack the archive and name the folder",
         );
     }
     if entry.flags().is_encrypted() {
@@ -228,7 +228,7 @@ fn file(name: &Place, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Resul
     let method = entry.compression_method();
     let is_stored = method == CompressionMethod::STORE;
     if !is_stored && method != CompressionMethod::DEFLATE {
-        let what = format!("is compressed by method {method}, and only 8 (DEFLATE) is read");
+        let what = format!("is compressed by method {method}, but only 8 (DEFLATE) is read");
         return refused(&what, "unpack it with the program that made it and name the folder");
     }
     Ok(Some(File { path: parts.join("/"), is_stored, place: entry.wayfinder() }))
@@ -260,7 +260,7 @@ fn unequal(place: &Place, error: &std::io::Error) -> Error {
         Some(rawzip::ErrorKind::InvalidSize { expected, actual }) => {
             damaged(place, &format!("ends after {actual} of {}", count(*expected, "byte")))
         }
-        Some(rawzip::ErrorKind::InvalidChecksum { .. }) => damaged(place, &"its checksum is another"),
+        Some(rawzip::ErrorKind::InvalidChecksum { .. }) => damaged(place, &"its checksum is wrong"),
         _ => damaged(place, error),
     }
 }

@@ -174,21 +174,21 @@ fn archives_that_are_broken_or_not_to_be_trusted_are_refused() {
         (name("c:x.txt"), beyond),
         (name("../"), beyond),
         (name("../.hidden"), beyond),
-        (name("a\nb.txt"), "name is none that a file can have"),
-        (name("a\0.txt"), "name is none that a file can have"),
+        (name("a\nb.txt"), "name is not a valid file name"),
+        (name("a\0.txt"), "name is not a valid file name"),
         (name(""), "a.zip: has an entry without a name"),
-        (name("."), "name is none that a file can have"),
+        (name("."), "name is not a valid file name"),
         (name(&deep), "lies in more than 31 folders"),
-        (name("train/r_0.png"), "train/r_0.png: stands in the archive twice"),
-        (name("./train//r_0.png"), "train/r_0.png: stands in the archive twice"),
-        (name("train"), "train: is a file and a folder"),
+        (name("train/r_0.png"), "train/r_0.png: is in the archive twice"),
+        (name("./train//r_0.png"), "train/r_0.png: is in the archive twice"),
+        (name("train"), "train: is both a file and a folder"),
         (Entry { name: b"\xb2\xe2.txt".to_vec(), flags: 0, ..name("") }, "its name is not UTF-8"),
         (Entry { mode: 0o120_777, ..name("link.png") }, "link.png: is a symbolic link"),
         (Entry { flags: 1, ..name("x.txt") }, "x.txt: is encrypted; unpack it with its password"),
         (Entry { flags: 1, method: 99, ..name("x.txt") }, "x.txt: is encrypted"),
         (
             Entry { method: 14, ..name("x.txt") },
-            "x.txt: is compressed by method 14 (LZMA), and only 8 (DEFLATE)",
+            "x.txt: is compressed by method 14 (LZMA), but only 8 (DEFLATE)",
         ),
         (Entry { method: 777, ..name("x.txt") }, "x.txt: is compressed by method 777 (UNKNOWN)"),
         (Entry { bytes: 70, ..zeros.clone() }, "zeros.txt: unpacks to more than the stated 70 bytes"),
@@ -197,12 +197,12 @@ fn archives_that_are_broken_or_not_to_be_trusted_are_refused() {
             Entry { bytes: 100_001, ..zeros.clone() },
             "zeros.txt: is damaged: ends after 100000 of 100001 bytes",
         ),
-        (Entry { checksum: 7, ..zeros.clone() }, "zeros.txt: is damaged: its checksum is another"),
+        (Entry { checksum: 7, ..zeros.clone() }, "zeros.txt: is damaged: its checksum is wrong"),
         (Entry { packed_bytes: 40, ..zeros.clone() }, "zeros.txt: is damaged: "),
         (Entry { packed: vec![0xff; 40], packed_bytes: 40, ..zeros.clone() }, "zeros.txt: is damaged: "),
         (Entry { method: DEFLATE, ..name("x.txt") }, "x.txt: is damaged: "),
         (Entry { method: STORED, ..zeros.clone() }, "zeros.txt: is damaged: ends after"),
-        (Entry { bytes: 2_000_000_000, ..zeros.clone() }, "states files of more than 1.1 GB, and has"),
+        (Entry { bytes: 2_000_000_000, ..zeros.clone() }, "states files of more than 1.1 GB, but has"),
         (Entry { packed_bytes: 2_000_000_000, ..Entry::stored("x.txt", bytes.as_bytes()) }, "x.txt: "),
     ];
     for (entry, what) in table {
@@ -222,10 +222,10 @@ fn archives_that_are_broken_or_not_to_be_trusted_are_refused() {
         (Vec::new(), "is no zip archive, or its end is missing"),
         // Its beginning is missing.
         (good[500..].to_vec(), "is damaged: "),
-        (short, "states 7 entries and lists"),
+        (short, "states 7 entries but lists"),
         (archive(&[]), "holds no file; name another archive, or the folder of a scene"),
         (archive(&[Entry::stored("a/", b"")]), "holds no file"),
-        (archive(&half), "and found x.txt; name an archive or a folder with one of them"),
+        (archive(&half), "and found x.txt; name an archive or a folder with one of these files"),
     ] {
         fs::write(&path, bytes).unwrap();
         let message = refused(&path);
@@ -254,7 +254,7 @@ fn an_archive_without_a_scene_says_what_it_holds() {
         (of(&["scan.mp4"]), "HERE/walk/scan.mp4 is a film"),
         (of(&["scan.mp4"]), "of its frames: trimip-cli capture HERE/walk.zip"),
         (of(&["0.cr2"]), "unpack it to HERE/walk: HERE/walk/0.cr2 is a camera's raw image"),
-        (of(&["lego.zip"]), "unpack it to HERE/walk: name HERE/walk/lego.zip, which is unpacked then"),
+        (of(&["lego.zip"]), "unpack it to HERE/walk: name HERE/walk/lego.zip, which is then unpacked"),
         (of(&["a.tar.gz"]), "unpack it to HERE/walk: unpack HERE/walk/a.tar.gz, and name the folder in it"),
         (of(&["a.doc", "b/c.doc", "d.doc", "e.doc"]), "and found a.doc, b, d.doc and 1 more"),
         (
@@ -280,13 +280,13 @@ fn folders_of_others_stay_as_they_are() {
     };
     // In place of the folder: an empty folder, a file, one with files, a scene, a mark of another.
     fs::create_dir(&at).unwrap();
-    expect("was not made by this program; rename one of the two, or name ");
+    expect("cannot be unpacked there; rename one of the two, or name ");
     fs::write(at.join("mine.txt"), "mine").unwrap();
     expect("was not made by this program");
     blender_scene(&at);
-    expect("and holds a scene already; name ");
+    expect("cannot be unpacked there; name ");
     fs::write(at.join(".unpacked.json"), "{}").unwrap();
-    expect("and holds a scene already");
+    expect("already holds a scene, so ");
     assert!(at.join("mine.txt").is_file());
     fs::remove_dir_all(&at).unwrap();
     fs::write(&at, "mine").unwrap();
@@ -305,7 +305,7 @@ fn folders_of_others_stay_as_they_are() {
     open(&settings(&path, 1)).unwrap();
     fs::write(here.join("a.r3d"), archive(&entries[1..])).unwrap();
     let message = refused(&here.join("a.r3d"));
-    assert!(message.contains("/a: was unpacked from another archive (\"a.zip\") than "), "{message}");
+    assert!(message.contains("/a: was unpacked from another archive (\"a.zip\"), not from "), "{message}");
     // An archive whose name leaves no room for that of the temporary folder.
     let long = here.join("x".repeat(251) + ".zip");
     fs::copy(&path, &long).unwrap();

@@ -44,7 +44,7 @@ fn warned(scene: &Scene, what: &str) {
 #[test]
 fn photographs_are_found_by_the_end_of_their_path() {
     let usual = scene_of(&|i| format!("images/{i}.png"), &|i| format!("images/{i}.png"), [16, 12]).unwrap();
-    assert!(!usual.warnings.iter().any(|warning| warning.contains("elsewhere")), "{:?}", usual.warnings);
+    assert!(!usual.warnings.iter().any(|warning| warning.contains("not where")), "{:?}", usual.warnings);
     let named: [&dyn Fn(usize) -> String; 6] = [
         &|i| format!("/home/someone/scene/images/{i}.png"),
         &|i| format!("D:\\data\\scene\\images\\{i}.png"),
@@ -56,7 +56,7 @@ fn photographs_are_found_by_the_end_of_their_path() {
     for named in named {
         let found = scene_of(named, &|i| format!("images/{i}.png"), [16, 12]).unwrap();
         assert_same(&found.train, &usual.train);
-        warned(&found, &format!("of 8 photographs lie elsewhere than it says: {} is ", named(1)));
+        warned(&found, &format!("of 8 photographs are not where the file says: {} is at ", named(1)));
     }
 }
 
@@ -66,7 +66,7 @@ fn smaller_copies_have_scaled_cameras() {
     let whole = scene_of(&images, &images, [16, 12]).unwrap();
     for stored in ["images", "images_2"] {
         let half = scene_of(&images, &|i| format!("{stored}/{i}.png"), [8, 6]).unwrap();
-        warned(&half, "0.5000 times as wide as it states");
+        warned(&half, "0.5000 times as wide as the file states");
         for (ours, theirs) in half.train.views.iter().zip(&whole.train.views) {
             assert_eq!(ours.camera.intrinsics, theirs.camera.intrinsics.reduced(1));
             assert_eq!(ours.camera.origin, theirs.camera.origin);
@@ -83,7 +83,7 @@ fn missing_photographs_are_counted() {
     (0..6).for_each(|i| save_image(&folder.path().join(format!("images/{i}.png")), 16, 12));
     let message = open(&settings(folder.path(), 1)).unwrap_err().message();
     assert!(message.contains("images/6.png does not exist"), "{message}");
-    assert!(message.ends_with("(2 more of 8 photographs are missing)"), "{message}");
+    assert!(message.ends_with("; 2 more of 8 photographs are missing"), "{message}");
 }
 
 #[test]
@@ -167,7 +167,7 @@ fn photographs_of_a_model_are_found_by_the_end_of_their_path() {
             }
             let found = open(&settings(root.path(), 1)).unwrap();
             assert_same(&found.train, &usual.train);
-            warned(&found, "10 of 10 photographs lie elsewhere than it says: ");
+            warned(&found, "10 of 10 photographs are not where the file says: ");
         }
     }
 }

@@ -48,7 +48,7 @@ fn each_broken_frame_is_named() {
         (|d| d["camera_angle_x"] = json!(0), file, "\"camera_angle_x\" is 0"),
         (|d| d["camera_angle_x"] = json!(4.0), file, "\"camera_angle_x\" is 4"),
         (|d| d["camera_angle_x"] = json!("wide"), file, "is the text \"wide\"; expected a number"),
-        (|d| d["fl_x"] = json!(-3.0), file, "\"fl_x\" is -3, which makes no positive focal length"),
+        (|d| d["fl_x"] = json!(-3.0), file, "\"fl_x\" is -3, which gives no positive focal length"),
         (|d| d["frames"][1]["fl_x"] = json!(0.0), second, "\"fl_x\" is 0"),
         (|d| d["frames"][1]["w"] = json!(17), second, "16x12 pixels, but the file states 17x12"),
         (|d| d["h"] = json!(12.5), file, "\"h\" is 12.5"),
@@ -153,7 +153,7 @@ fn folders_without_a_scene_say_what_was_looked_for() {
     for split in ["train", "test"] {
         fs::remove_file(folder.path().join(format!("transforms_{split}.json"))).unwrap();
     }
-    assert!(error_of(folder.path(), 1).contains("at least two frames"));
+    assert!(error_of(folder.path(), 1).contains("at least two are needed"));
 }
 
 #[test]

@@ -400,11 +400,11 @@ fn the_model_with_the_most_images_is_read() {
     sparse.write_text(&root.path().join("sparse/1"));
     let scene = scene(root.path());
     assert_eq!(scene.train.scales[0].views.len(), 8);
-    assert!(scene.warnings.iter().any(|w| w.contains("0 of 3, 1 of 10") && w.contains("sparse/1 is read")));
+    assert!(scene.warnings.iter().any(|w| w.contains("with 3, 1 with") && w.contains("sparse/1 is read")));
     fs::remove_dir_all(root.path().join("sparse/1")).unwrap();
     let scene = open(&settings(root.path(), 1)).unwrap();
     assert!(
-        scene.warnings.iter().any(|w| w.contains("COLMAP placed 3 of 10 photographs")),
+        scene.warnings.iter().any(|w| w.contains("COLMAP placed 3 of the 10 photographs")),
         "{:?}",
         scene.warnings
     );
@@ -482,8 +482,8 @@ fn a_list_of_names_divides_any_scene() {
     let summary = write_multiscale(&listed(root.path(), list), set.path(), &unwatched).unwrap();
     assert_eq!(summary.splits, [("train".to_string(), 8), ("test".to_string(), 2)]);
     for (list, what) in [
-        ("0009\nleft/0007.png", "names no frame of the scene: 0009, left/0007.png"),
-        ("0001.png", "names more than one frame: 0001.png"),
+        ("0009\nleft/0007.png", "names that match no frame of the scene: 0009, left/0007.png"),
+        ("0001.png", "names that match more than one frame: 0001.png"),
         ("# none", "leaves no test frame"),
     ] {
         let message = open(&listed(root.path(), list)).unwrap_err().message();
@@ -556,7 +556,7 @@ fn lists_of_a_transforms_file_are_its_splits() {
 fn each_broken_model_is_told_apart() {
     type Change = fn(&mut Sparse);
     let cases: [(Change, &str, &str); 13] = [
-        (|s| s.cameras[1].0 = 1, "cameras.", "camera 1: is there twice"),
+        (|s| s.cameras[1].0 = 1, "cameras.", "camera 1: is listed twice"),
         (|s| s.cameras[1].3 = [0, 40], "cameras.", "is 0x40 pixels"),
         (|s| s.cameras[1].3 = [1 << 40, 40], "cameras.", "is 1099511627776x40 pixels"),
         (|s| s.cameras[1].4[0] = -1.0, "cameras.", "has the focal length -1"),
@@ -566,13 +566,13 @@ fn each_broken_model_is_told_apart() {
             "FOV, which is not supported; run COLMAP's",
         ),
         (|s| (s.cameras[1].1, s.cameras[1].2) = (99, "99"), "cameras.", "99, which is unknown"),
-        (|s| s.images[2].0 = 1, "images.", "is there twice"),
+        (|s| s.images[2].0 = 1, "images.", "is listed twice"),
         (|s| s.images[2].1 = [0.0; 4], "images.", "has a rotation of length 0"),
         (|s| s.images[2].2[1] = f64::INFINITY, "images.", "inf"),
         (|s| s.images[2].3 = 77, "images.", "image 3 (left/0001.png): has the camera 77"),
         (|s| s.images[2].4 = "left/0000.png".into(), "images.", "has the name of image 1"),
-        (|s| s.points[2].0 = 1, "points3D.", "point 1: is there twice"),
-        (|s| s.points[2].4[0][1] = 999, "points3D.", "is feature 999 of image 1, which has 125"),
+        (|s| s.points[2].0 = 1, "points3D.", "point 1: is listed twice"),
+        (|s| s.points[2].4[0][1] = 999, "points3D.", "names feature 999 of image 1, which has 125"),
     ];
     let root = tempfile::tempdir().unwrap();
     save_images(&root.path().join("images"), &capture(), [60, 40]);

@@ -176,13 +176,13 @@ fn doubles_are_named() {
     posed(&mut fixed, |frame, own| if frame == 6 { own[2] } else { own[frame] });
     let twins = checks::poses(&fixed, &[]);
     assert_eq!(views(&twins), [6]);
-    assert_eq!(twins.suspects[0].figure, "as r_2");
+    assert_eq!(twins.suspects[0].figure, "same as r_2");
     for scale in scene.train.scales.clone() {
         let first = pixels(&mut scene.train, &scale, 1).to_vec();
         pixels(&mut scene.train, &scale, 30).copy_from_slice(&first);
     }
     let copies = checks::photographs(&scene.train);
-    assert_eq!((views(&copies), copies.suspects[0].figure.as_str()), (vec![30], "as r_1"));
+    assert_eq!((views(&copies), copies.suspects[0].figure.as_str()), (vec![30], "same as r_1"));
 }
 
 #[test]

@@ -270,7 +270,7 @@ fn units_of_depths_are_those_of_the_poses() {
     for (factor, likely) in [(4.0, "1e-3"), (4e-6, "1e3")] {
         (0..9).for_each(|index| document["frames"][index]["depth_unit_scale_factor"] = json!(factor));
         let scene = of(&document);
-        let warning = format!("is depth_unit_scale_factor {likely} times as large?");
+        let warning = format!("should depth_unit_scale_factor be {likely} times as large?");
         assert!(told(&scene, &warning), "{warning}: {:?}", scene.warnings);
     }
 }
@@ -315,7 +315,7 @@ fn what_is_wrong_with_a_depth_image_is_named() {
             },
             &[
                 "frame 2",
-                "depths/2.png has 8 bits: it is a picture to look at",
+                "depths/2.png has 8 bits: it visualises depths",
                 "16-bit grey",
                 "data.depths = false",
             ],
@@ -335,7 +335,7 @@ fn what_is_wrong_with_a_depth_image_is_named() {
         ),
         (
             |file, _| DynamicImage::from(Image::new(30, 30)).save(file(3)).unwrap(),
-            &["frame 3", "depths/3.png is 30x30 pixels, image", "60x40", "the photograph's shape"],
+            &["frame 3", "depths/3.png is 30x30 pixels, but image", "60x40", "the photograph's shape"],
         ),
         (
             |file, _| {
@@ -362,21 +362,21 @@ fn what_is_wrong_with_a_depth_image_is_named() {
                 fs::write(file(5).with_extension("npy"), npy("<u2", "(20, 30)", std::iter::empty())).unwrap();
                 document["frames"][5]["depth_file_path"] = json!("depths/5.npy");
             },
-            &["depths/5.npy: is no table of NumPy: its numbers are '<u2', known are f8 and f4"],
+            &["depths/5.npy: is not a table of NumPy: its numbers are '<u2', but only f8 and f4 are known"],
         ),
         (
             |file, document| {
                 fs::write(file(5).with_extension("npy"), npy("<f4", "(20, 30)", std::iter::empty())).unwrap();
                 document["frames"][5]["depth_file_path"] = json!("depths/5.npy");
             },
-            &["depths/5.npy: states 20 x 30 numbers of 4 bytes, and 0 bytes follow"],
+            &["depths/5.npy: states 20 x 30 numbers of 4 bytes, but 0 bytes follow"],
         ),
         (
             |file, document| {
                 fs::write(file(5).with_extension("npy"), npy("<f4", "(30, 20)", std::iter::empty())).unwrap();
                 document["frames"][5]["depth_file_path"] = json!("depths/5.npy");
             },
-            &["frame 5", "depths/5.npy is 20x30 pixels, image"],
+            &["frame 5", "depths/5.npy is 20x30 pixels, but image"],
         ),
     ];
     for (change, parts) in table {
@@ -407,7 +407,7 @@ fn some_that_are_missing_or_empty_are_counted() {
     let scene = open(&settings(root, 1)).unwrap();
     for line in [
         "2 of 6 depth images are missing, the first is ",
-        "1 of 4 depth images hold no depth, the first that of 3: 0 is unknown",
+        "1 of 4 depth images hold no depth, the first that of 3: 0 marks an unknown depth",
         "depth images of 4 of 7 training views, 30x20: the rays of 1800 pixels",
     ] {
         assert!(told(&scene, line), "{line}: {:?} {:?}", scene.warnings, scene.description);

@@ -139,7 +139,11 @@ fn models_of_bundler_are_read() {
     fs::write(root.join("list.txt"), &list).unwrap();
     let scene = open(&settings(root, 1)).unwrap();
     assert_cameras(&scene, &all);
-    assert!(scene.warnings.iter().any(|w| w.contains("placed 9 of 10 photographs")), "{:?}", scene.warnings);
+    assert!(
+        scene.warnings.iter().any(|w| w.contains("cameras of 9 of 10 photographs")),
+        "{:?}",
+        scene.warnings
+    );
     assert_eq!(
         (scene.points[0].position, scene.points[0].color, scene.points[0].seen),
         ([0.5, 0.25, -1.0], [9, 99, 199], Some(2))

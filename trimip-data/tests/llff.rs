@@ -80,7 +80,7 @@ fn rays_are_those_of_the_same_cameras_in_a_transforms_file() {
         }
     }
     assert!(ours.description[0].contains("LLFF capture"), "{:?}", ours.description);
-    assert!(ours.description.iter().any(|line| line.contains("1.500 and 30.000")), "{:?}", ours.description);
+    assert!(ours.description.iter().any(|line| line.contains("1.500 to 30.000")), "{:?}", ours.description);
 }
 
 /// A ray of a corner by the literal equations of NeRF's `load_llff.py` and `get_rays`: the columns of the matrix become right,
@@ -161,7 +161,7 @@ fn what_does_not_fit_is_refused_with_its_place() {
             "ROOT/poses_bounds.npy: pose 1 (IMG_01.png): ",
             "16x16",
         ),
-        (|root| fs::write(root.join("poses_bounds.npy"), "").unwrap(), file, "is no table of NumPy"),
+        (|root| fs::write(root.join("poses_bounds.npy"), "").unwrap(), file, "is not a table of NumPy"),
         (|root| rows(root, |rows| rows.clear()), file, "holds 0 x 17 numbers"),
         (|root| rows(root, |rows| rows[2][16] = f64::NAN), file, "not finite in row 2"),
         (

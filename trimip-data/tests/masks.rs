@@ -196,7 +196,7 @@ fn masks_that_look_wrong_are_told() {
     // A folder of masks that fits no photograph gives a warning: its owner expects it to count.
     (0..3).for_each(|i| std::fs::remove_file(root.join(format!("masks/{i}.png"))).unwrap());
     mask(&root.join("masks/mask_0.png"), SIZE, middle);
-    assert!(warnings(&with(root, |_| ())).contains("has no mask of a photograph"));
+    assert!(warnings(&with(root, |_| ())).contains("holds no mask of a photograph"));
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn broken_masks_are_one_line_that_names_file_and_remedy() {
             |root, _| mask(&root.join("masks/1.png"), (8, 6), left),
             &[
                 "frame 1 (images/a/1.png): mask",
-                "masks/1.png is 8x6 pixels, image",
+                "masks/1.png is 8x6 pixels, but image",
                 "16x12",
                 "data.masks = \"none\"",
             ],
@@ -242,7 +242,7 @@ fn broken_masks_are_one_line_that_names_file_and_remedy() {
                 photograph(&root.join("images/b/0.png"), left, [0; 3]);
                 write(&root.join("transforms.json"), &json!({ "camera_angle_x": 0.7, "frames": frames }));
             },
-            &["masks/0.png would also be that of", "images/", "the same subfolders"],
+            &["masks/0.png would also be the mask of", "images/", "the same subfolders"],
         ),
     ];
     for (number, (breaking, parts)) in cases.into_iter().enumerate() {

@@ -107,7 +107,7 @@ fn formats_that_are_not_read_are_named_with_what_converts_them() {
         fs::remove_file(root.join("train/r_1.png")).unwrap();
         fs::write(root.join("train/r_1.HEIC"), heic).unwrap();
     });
-    for part in ["frame 1 (./train/r_1)", "does not exist", "r_1.HEIC beside it is a HEIC image"] {
+    for part in ["frame 1 (./train/r_1)", "does not exist", "r_1.HEIC in its folder is a HEIC image"] {
         assert!(beside.contains(part), "{part}: {beside}");
     }
 }

@@ -84,7 +84,7 @@ fn broken_captures_of_record3d_are_named() {
         (|d| d["h"] = json!(50), "60x40 pixels, but the file states 60x50"),
         (
             |d| d["perFrameIntrinsicCoeffs"] = json!([[51, 52, 29, 21]]),
-            "has 9 poses and the intrinsics of 1 photograph",
+            "has 9 poses, but the intrinsics of 1 photograph",
         ),
         (
             |d| d["perFrameIntrinsicCoeffs"] = json!(vec![[51, 52, 29]; 9]),
@@ -146,8 +146,8 @@ fn scenes_of_arkitscenes_are_read() {
     words[1] = "1e300";
     let far = words.join(" ");
     let broken: [(&Path, String, &str); 8] = [
-        (&poses, trajectory.replacen('\n', " 1\n", 1), "pose 0: is 8 numbers instead of 7"),
-        (&poses, trajectory[..trajectory.len() - 30].into(), "pose 8: is "),
+        (&poses, trajectory.replacen('\n', " 1\n", 1), "pose 0: has 8 numbers instead of 7"),
+        (&poses, trajectory[..trajectory.len() - 30].into(), "pose 8: has "),
         (&poses, trajectory.replacen(' ', " NaN ", 1), "lowres_wide.traj:1: \"NaN\" is not a finite number"),
         (&poses, far, "41069021_305.300.png: has a pose that is not finite"),
         (&poses, String::new(), "has no frame with a pose"),
@@ -165,7 +165,7 @@ fn scenes_of_arkitscenes_are_read() {
     assert!(refused(root).contains("41069021_305.300.pincam: cannot be read"), "{}", refused(root));
     fs::write(&intrinsics, "60 40 51.5 52.5 29 21").unwrap();
     save_image(&root.join("lowres_wide/photo.png"), 60, 40);
-    assert!(refused(root).contains("photo.png: is not called by video and time"), "{}", refused(root));
+    assert!(refused(root).contains("photo.png: is not named by video and time"), "{}", refused(root));
     fs::remove_dir_all(root.join("lowres_wide")).unwrap();
     assert!(refused(root).contains("has no frame with a pose"), "{}", refused(root));
 }

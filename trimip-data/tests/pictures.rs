@@ -94,7 +94,7 @@ fn photographs_are_found_by_stem_and_ending_and_reduced_as_others() {
             let folder = tempfile::tempdir().unwrap();
             let found = scene(folder.path(), &named, &format!(".{ending}")).unwrap();
             assert_same(&found.train, &usual.train);
-            let elsewhere = found.warnings.iter().any(|warning| warning.contains("lie elsewhere"));
+            let elsewhere = found.warnings.iter().any(|warning| warning.contains("not where"));
             let as_named =
                 named == format!(".{ending}") || named.is_empty() && ending.to_lowercase() == **ending;
             assert_eq!(elsewhere, !as_named, "{named} {ending}: {:?}", found.warnings);
@@ -137,8 +137,8 @@ fn webp_files_hold_the_parts_that_they_state() {
     let picture = whole.windows(4).position(|name| name == b"VP8 ").unwrap();
     assert!(put(24, &[255, 63, 0]).contains("a picture has another size than the file states"));
     assert!(put(picture + 14, &[255, 63]).contains("a picture has another size than the file states"));
-    assert!(put(picture + 4, &[0, 0, 0, 16]).contains("a part ends behind the file"));
-    assert!(put(picture + 8, &[0xf0, 0xff, 0xff]).contains("a part ends behind the file"));
+    assert!(put(picture + 4, &[0, 0, 0, 16]).contains("a part ends beyond the file"));
+    assert!(put(picture + 8, &[0xf0, 0xff, 0xff]).contains("a part ends beyond the file"));
 }
 
 /// Nested pictures of an animation, as deep as the file is long: checking them takes no more stack than one.
@@ -152,7 +152,7 @@ fn webp_pictures_hold_no_others() {
         bytes.extend([0; 16]);
     }
     let message = photograph("a file", &bytes).unwrap_err().message();
-    assert!(message.contains("a picture of the animation holds another"), "{message}");
+    assert!(message.contains("a picture of the animation contains another"), "{message}");
 }
 
 /// As for WebP, with both byte orders and both sizes of entries.
@@ -167,7 +167,7 @@ fn tiff_files_hold_the_values_that_they_state() {
         let mut broken = whole.clone();
         broken[entry + 4..entry + 8].copy_from_slice(&0x1000_0000_u32.to_le_bytes());
         let message = photograph("a file", &broken).unwrap_err().message();
-        assert!(message.contains("the values of an entry end behind the file"), "{message}");
+        assert!(message.contains("the values of an entry end beyond the file"), "{message}");
     }
     // An entry of 2^28 floats.
     let big = [
@@ -178,7 +178,7 @@ fn tiff_files_hold_the_values_that_they_state() {
     let small = [&b"MM\0\x2a\0\0\0\x08\0\x01\x01\0\0\x0b\x10\0\0\0\0\0\0\0\0\0"[..], &[0; 8]].concat();
     for file in [big, small] {
         let message = photograph("a file", &file).unwrap_err().message();
-        assert!(message.contains("the values of an entry end behind the file"), "{message}");
+        assert!(message.contains("the values of an entry end beyond the file"), "{message}");
     }
 }
 

@@ -191,7 +191,7 @@ fn trained() -> Vec<usize> {
 }
 
 fn warning(scene: &Scene) -> Option<&str> {
-    scene.warnings.iter().map(String::as_str).find(|warning| warning.contains("stood apart"))
+    scene.warnings.iter().map(String::as_str).find(|warning| warning.contains("were detached"))
 }
 
 #[test]

@@ -95,12 +95,12 @@ fn broken_camera_parameters_are_named() {
     };
     let whole = export(HEADER, "24.5,0,0,0.01,0.02,0,0,0,0");
     for (text, what) in [
-        (whole.replacen(",24.5", "", 1), "cameras.csv:2: has 15 columns, and the file names 16"),
+        (whole.replacen(",24.5", "", 1), "cameras.csv:2: has 15 columns, but the header names 16"),
         (whole[..whole.len() - 12].into(), "cameras.csv:10: has "),
         (whole.replacen("24.5", "NaN", 1), "cameras.csv:2: f: \"NaN\" is not a finite number"),
         (whole.replacen("24.5", "24m", 1), "cameras.csv:2: f: \"24m\" is not a finite number"),
         (whole.replacen("24.5", "-24.5", 1), "cameras.csv:2: f: the focal length is -24.5"),
-        (whole.replacen("0.02", "0", 1), "k1: alone it is that of the division model"),
+        (whole.replacen("0.02", "0", 1), "k1: a single coefficient is that of the division model"),
         (whole.replacen("24.5,0", "24.5,1e308", 1), "cameras.csv:2: px, py: the principal point is 1000"),
         (whole.replacen("4.png", "", 1), "cameras.csv:6: names no photograph"),
         (whole.replace(".png", ".exr"), "9 of 9 photographs are missing, the first is"),
@@ -113,7 +113,8 @@ fn broken_camera_parameters_are_named() {
     fs::write(&path, &whole).unwrap();
     fs::write(root.join("again.csv"), &whole).unwrap();
     assert!(
-        refused().contains("again.csv: and ") && refused().contains("leave one of them"),
+        refused().contains("again.csv: holds camera parameters, and so does ")
+            && refused().contains("keep only one of them"),
         "{}",
         refused()
     );

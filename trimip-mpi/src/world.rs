@@ -70,10 +70,10 @@ impl World {
             return Err(Error::input(
                 format!("{launched} processes"),
                 format!(
-                    "the MPI library of this program sees {}: the launcher is that of another",
+                    "the MPI library of this program reports {}: the launcher belongs to another MPI library",
                     world.size()
                 ),
-                "build the program where mpicc is that of the launcher",
+                "build the program with the mpicc that belongs to the launcher",
             ));
         }
         let near = world.split_shared(world.rank());

@@ -45,8 +45,8 @@ impl Projection<'_, '_> {
                 Intrinsics { fx, fy: fx, ..Intrinsics::from_angle(width, height, 1.0) }
             }
             _ => {
-                let advice = "give `fov` (horizontal, degrees, above 0 and below 180) or `fx` (pixels, above 0), one of them";
-                return Err(refused("Camera", "no focal length", advice));
+                let advice = "give either `fov` (horizontal, degrees, above 0 and below 180) or `fx` (pixels, above 0)";
+                return Err(refused("Camera", "needs one focal length", advice));
             }
         };
         k.fy = fy.unwrap_or(k.fy);
@@ -209,7 +209,7 @@ impl Camera {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
         let text = serde_json::to_string(&slf.get().0);
-        let text = text.map_err(|error| refused("Camera", error, "choose a camera of finite numbers"))?;
+        let text = text.map_err(|error| refused("Camera", error, "choose a camera with finite numbers"))?;
         Ok((slf.get_type().getattr("_restored")?, (text,)))
     }
 
@@ -230,6 +230,6 @@ fn vector(name: &str, numbers: &Three<'_>) -> PyResult<DVec3> {
     let numbers: Vec<f64> = numbers.as_array().iter().copied().collect();
     match numbers[..] {
         [x, y, z] if numbers.iter().all(|number| number.is_finite()) => Ok(DVec3::new(x, y, z)),
-        _ => Err(refused(name, format!("{} numbers", numbers.len()), "give three finite ones")),
+        _ => Err(refused(name, format!("{} numbers", numbers.len()), "give three finite numbers")),
     }
 }

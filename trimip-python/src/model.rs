@@ -59,9 +59,9 @@ impl Frame {
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let place = path.display().to_string();
         if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
-            return Err(refused(&place, "is no name of a PNG", "give one that ends in .png"));
+            return Err(refused(&place, "is not the name of a PNG file", "give a name that ends in .png"));
         }
-        let several = || refused("Frame", "several views", "render the one that is to be saved");
+        let several = || refused("Frame", "holds several views", "render the view to save");
         let png = self.png(py)?.ok_or_else(several)?;
         py.detach(|| trimip_core::atomic::write_atomically(&path, &png)).map_err(raised)
     }
@@ -158,12 +158,12 @@ impl Model {
         };
         let radius = radius.unwrap_or_else(|| 0.5 * f64::from(self.model.config.step_length()));
         if !(radius > 0.0 && radius.is_finite()) {
-            return Err(refused("radius", radius, "give a length above 0, world units"));
+            return Err(refused("radius", radius, "give a length above 0, in world units"));
         }
         let one = |(point, direction): ([f64; 3], [f64; 3])| {
             let unit = glam::DVec3::from_array(direction).try_normalize();
             let unit = unit.ok_or_else(|| {
-                refused("directions", "a row without direction", "give vectors other than 0")
+                refused("directions", "has a zero vector", "give vectors with a length above 0")
             })?;
             let direction = unit.to_array().map(|number| number as f32);
             Ok(Query { point: self.origin().local(point), radius: radius as f32, direction })

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use trimip::report::{Status, text};
 use trimip::run::Recorded;
-use trimip::{Outcome, Listeners, Settings, Training, events::Event};
+use trimip::{Listeners, Outcome, Settings, Training, events::Event};
 
 /// A training run: its folder, how it ended, and its measures.
 #[pyclass(frozen, module = "trimip")]
@@ -26,7 +26,8 @@ impl Run {
     #[staticmethod]
     fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
         let recorded = py.detach(|| Recorded::open(&folder)).map_err(raised)?;
-        let ended = if recorded.status == Status::Stopped { Outcome::Stopped } else { Outcome::AlreadyComplete };
+        let ended =
+            if recorded.status == Status::Stopped { Outcome::Stopped } else { Outcome::AlreadyComplete };
         Ok(Self { recorded, ended })
     }
 

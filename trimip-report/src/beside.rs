@@ -77,7 +77,7 @@ pub fn outcomes(entries: &[Entry]) -> String {
     if rows.len() < 2 {
         return String::new();
     }
-    format!("<section><h2>What each came to</h2>{}</section>\n", table(&rows, false))
+    format!("<section><h2>Results</h2>{}</section>\n", table(&rows, false))
 }
 
 /// A table of the settings that differ between entries with a report; empty with fewer than two.
@@ -142,13 +142,13 @@ pub fn views(entries: &[Entry]) -> Result<String> {
     }
     if groups.is_empty() {
         return Ok(
-            "<section><h2>Test views</h2><p>No test view is pictured in all of these runs.</p></section>\n"
+            "<section><h2>Test views</h2><p>No test view has pictures in all of these runs.</p></section>\n"
                 .into(),
         );
     }
     Ok(format!(
-        "<section><h2>Test views</h2><p class=\"lead\">Click a picture to enlarge it; the arrow keys change \
-         between the pictures in place.</p><div class=\"wide\">{groups}</div></section>\n"
+        "<section><h2>Test views</h2><p class=\"lead\">Click a picture to enlarge it; the arrow keys then \
+         switch pictures in place.</p><div class=\"wide\">{groups}</div></section>\n"
     ))
 }
 

@@ -113,7 +113,10 @@ fn quality(report: &Report<'_>) -> String {
     };
     let mut note = format!("Measured on {}. ", report.views_measured());
     if !e.last {
-        note += &format!("That is every {}. one; the final evaluation is not made yet. ", e.stride);
+        note += &format!(
+            "The stride over the test views is {}; the final evaluation has not run yet. ",
+            e.stride
+        );
     }
     note += &text::perceptual(report);
     note += &escape(&text::poses(report));
@@ -124,10 +127,10 @@ fn quality(report: &Report<'_>) -> String {
     let all = text::measures(report);
     format!(
         "<section><h2>Quality per scale</h2>{}<p class=\"lead\">{note}</p><details><summary>Other kinds of PSNR</summary>{}<p>“Plain” \
-         is without the edge exponents of the set; “box filter” is against means over blocks of the finest photographs; “at 8 bits” rounds both \
-         pictures; “own exposure” is after one gain per channel that each half of a picture takes from the other; “on opposite” is on another \
-         background, black where the background is bright and white where it is dark; “mean colour” is what the mean colour of each photograph \
-         would reach in place of the rendering.</p></details></section>\n",
+         leaves out the edge exponents of the set; “box filter” compares with block means of the finest photographs; “at 8 bits” rounds both \
+         pictures; “own exposure” applies one gain per channel, fitted for each half of a picture on the other half; “on opposite” uses another \
+         background, black where the configured one is bright and white where it is dark; “mean colour” is the PSNR of each photograph’s mean \
+         colour in place of the rendering.</p></details></section>\n",
         table(&text::columns(&all, &MEASURES), true),
         table(&text::columns(&all, &OTHER_KINDS), true)
     )
@@ -145,9 +148,9 @@ fn curve(report: &Report<'_>) -> String {
     let (curve, last) = (report.curve(), report.history.last());
     if curve.len() < 2 {
         let why = match report.config.eval.points {
-            0 => "eval.points = 0 measures no test view on the way".to_string(),
+            0 => "with eval.points = 0, no test views are measured during training".to_string(),
             _ => format!(
-                "test views were measured {} on the way, as many as eval.time_fraction had time for",
+                "test views were measured {} during training, as often as eval.time_fraction allowed",
                 formatting::count(curve.len() as u64, "time")
             ),
         };
@@ -167,9 +170,9 @@ fn measure(report: &Report<'_>) -> String {
     let [r, g, b] = data.background;
     let convention = match data.convention {
         Convention::Public => {
-            "means of straight RGBA truncated to 8 bits, as the public multi-scale set is made (it darkens silhouettes)"
+            "means of straight RGBA truncated to 8 bits, as in the public multi-scale set (this darkens silhouettes)"
         }
-        Convention::Premultiplied => "means of premultiplied RGBA rounded to 8 bits, right at silhouettes",
+        Convention::Premultiplied => "means of premultiplied RGBA rounded to 8 bits, correct at silhouettes",
     };
     let sets = report.config.section::<DataConfig>().map_or_else(
         |_| String::new(),
@@ -185,7 +188,7 @@ fn measure(report: &Report<'_>) -> String {
          over the scales. SSIM follows Wang et al. 2004: Gaussian window of 11 pixels, σ = 1.5, K<sub>1</sub> = 0.01, \
          K<sub>2</sub> = 0.03; MS-SSIM follows Wang et al. 2003: five scales, the published weights, images of at least \
          {LEAST_SIDE} pixels. FLIP is the mean of LDR-FLIP (Andersson et al. 2020) on values rounded to 8 bits, as seen with \
-         {PIXELS_PER_DEGREE:.0} pixels per degree; 0 is equal, 1 the greatest error. LPIPS (Zhang et al. 2018) has the network \
+         {PIXELS_PER_DEGREE:.0} pixels per degree; 0 is equal, 1 the greatest error. LPIPS (Zhang et al. 2018) uses the network \
          of <code>eval.lpips</code>.</p>\n<p>Coarser photographs are {convention}.{sets}</p></section>\n",
     )
 }
@@ -199,15 +202,12 @@ fn course(report: &Report<'_>) -> String {
     let per = |value: u64| format!("{:.1}", value as f64 / totals.rays.max(1) as f64);
     let predicted = match report.config.backend.as_str() {
         "cpu" => "memory predicted",
-        _ => "memory of the device, predicted",
+        _ => "device memory, predicted",
     };
     let run = [
         ("training", formatting::duration(totals.seconds)),
         ("evaluation", formatting::duration(history.evaluation_seconds())),
-        (
-            "wall time, everything",
-            format!("{} in {}", formatting::duration(wall), sessions(history.parts.len())),
-        ),
+        ("total wall time", format!("{} in {}", formatting::duration(wall), sessions(history.parts.len()))),
         ("rays", count(totals.rays)),
         ("samples kept", format!("{} ({} per ray)", count(totals.samples), per(totals.samples))),
         ("samples marched", format!("{} ({} per ray)", count(totals.marched), per(totals.marched))),
@@ -215,7 +215,7 @@ fn course(report: &Report<'_>) -> String {
         ("empty batches", totals.empty_batches.to_string()),
         ("non-finite values", totals.non_finite.to_string()),
         (predicted, history.predicted_memory_bytes.map_or_else(unknown, formatting::bytes)),
-        ("memory used at most", history.peak_memory_bytes().map_or_else(unknown, formatting::bytes)),
+        ("peak memory", history.peak_memory_bytes().map_or_else(unknown, formatting::bytes)),
     ];
     let threads = match report.config.threads {
         0 => "all".to_string(),

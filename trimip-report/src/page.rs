@@ -55,7 +55,7 @@ pub fn plot(title: &str, lines: &[Line], note: &str) -> String {
          <div class=\"axis\"><label><input type=\"radio\" name=\"axis\" id=\"axis-log\" checked> logarithmic time</label>\
          <label><input type=\"radio\" name=\"axis\" id=\"axis-linear\"> linear time</label></div>\
          <p class=\"lead\">{note} Training time only: evaluations and pictures are not counted. The right axis is the root \
-         of the mean squared error that the PSNR stands for.</p></section>\n",
+         mean squared error that corresponds to the PSNR.</p></section>\n",
         svg::legend(lines)
     )
 }

@@ -30,7 +30,7 @@ pub fn strip(root: &Path, scene: &SceneConfig) -> Result<String> {
     };
     let Ok(strip) = image::open(RunFolder::new(root).turntable()) else { return Ok(String::new()) };
     Ok(format!(
-        "<section><h2>{heading}</h2><div class=\"wide\">{}</div><p class=\"lead\">Turn it in a browser: \
+        "<section><h2>{heading}</h2><div class=\"wide\">{}</div><p class=\"lead\">Turn the model in a browser: \
          <code>trimip-cli view {}</code> <a id=\"viewer\" href=\"./\" hidden>open it in the viewer</a></p></section>\n",
         embedded(strip.into_rgb8(), alt)?,
         escape(&root.display().to_string())
@@ -62,8 +62,8 @@ pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
     }
     if !frames.is_empty() {
         html += &format!(
-            "<section><h2>Views evenly spread</h2><p class=\"lead\">Finest and coarsest scale. Pictures in \
-             their own size are in <code>images/</code>; here they have at most {LONGEST} pixels a side.</p><div class=\"wide\">{frames}</div></section>\n"
+            "<section><h2>Evenly spread views</h2><p class=\"lead\">Finest and coarsest scale, at \
+             most {LONGEST} pixels a side; <code>images/</code> has the pictures at their own size.</p><div class=\"wide\">{frames}</div></section>\n"
         );
     }
     Ok(html)
@@ -117,8 +117,8 @@ fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
         scale => format!("scale {}", scale_name(scale)),
     };
     Ok(format!(
-        "<section><h2>Worst and best views</h2><p class=\"lead\">At {scale}, of {} evaluated. The difference is the mean of \
-         the absolute differences in red, green and blue, in parts of the full range.</p><div class=\"pair\">{html}</div>\
+        "<section><h2>Worst and best views</h2><p class=\"lead\">Evaluated views at {scale}: {}. The difference is the mean of \
+         the absolute differences in red, green and blue, as a fraction of the full range.</p><div class=\"pair\">{html}</div>\
          {figures}</section>\n",
         ordered.len()
     ))

@@ -18,7 +18,7 @@ pub fn section(settings: &Settings) -> String {
     let chosen =
         if set.is_empty() { "<p>Every setting has its default.</p>".to_string() } else { table(&set) };
     format!(
-        "<section><h2>Settings</h2>{chosen}<details><summary>{} settings with their defaults</summary>{}</details></section>\n",
+        "<section><h2>Settings</h2>{chosen}<details><summary>{} settings at their defaults</summary>{}</details></section>\n",
         defaults.len(),
         table(&defaults)
     )

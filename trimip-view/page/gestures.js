@@ -16,7 +16,7 @@ const keyRows = (orbit, list, fullScreen) => [
   {
     keys: ARROWS,
     shift: true,
-    pointer: "right button or shift and drag",
+    pointer: "drag with the right button or shift",
     does: "move sideways",
     move: ([x, y]) => orbit.pan(0.05 * x, 0.05 * y),
   },

@@ -11,7 +11,7 @@ const clock = (seconds) =>
 const WORDS = {
   running: "training",
   paused: "paused",
-  stopped: "stopped and saved: the same command goes on",
+  stopped: "stopped and saved: the same command resumes the run",
   measuring: "trained; measuring the test views",
   finished: "finished: trimip-cli view RUN shows it",
 };

@@ -165,7 +165,7 @@ impl Request {
         if let Some([low, high]) = request.clip
             && !(0..3).all(|axis| low[axis] < high[axis])
         {
-            return refuse("a clipping box without inside".into());
+            return refuse("has an empty clipping box".into());
         }
         request.camera(None)?;
         Ok(request)

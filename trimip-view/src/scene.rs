@@ -197,7 +197,7 @@ impl Photographs {
         own.copied().ok_or_else(|| {
             Error::input(
                 format!("photograph {} of {:?}", photo.index, photo.split),
-                "is not there",
+                "does not exist",
                 "choose another",
             )
         })

@@ -111,16 +111,16 @@ impl Backend for WgpuBackend {
                 match self.counters.overflows.load(Ordering::Relaxed) {
                     0 => Vec::new(),
                     count => vec![format!(
-                        "field.precision = \"f16\": {count} numbers were too large for f16, the run goes on in f32"
+                        "field.precision = \"f16\": {count} numbers were too large for f16, the run continues in f32"
                     )],
                 }
             }
             Precision::F16 => vec![format!(
-                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32, computed in f32",
+                "field.precision = \"f16\": {} has no cooperative matrices of f16 with sums of f32: networks are computed in f32",
                 self.gpu.name()
             )],
             Precision::Bf16 => {
-                vec!["field.precision = \"bf16\" is a CPU's: the GPU computes in f32, or in \"f16\"".into()]
+                vec!["field.precision = \"bf16\" is for CPUs: the GPU computes in f32, or in \"f16\"".into()]
             }
         }
     }
@@ -133,7 +133,7 @@ impl Backend for WgpuBackend {
         if steps > most {
             return Err(Error::input(
                 "renderer.steps_per_diagonal",
-                format!("{steps}, and {} follows a ray for {most} samples", self.gpu.name()),
+                format!("{steps}, but {} follows a ray for at most {most} samples", self.gpu.name()),
                 "use fewer steps, or backend = \"cpu\"",
             ));
         }
@@ -144,7 +144,7 @@ impl Backend for WgpuBackend {
             return Err(Error::input(
                 "field.hidden",
                 format!(
-                    "{} wide, {marched} samples fit into the {binding} bytes that the device binds at once",
+                    "at a width of {}, only {marched} samples fit into the {binding} bytes that the device binds at once",
                     config.field.hidden
                 ),
                 format!(

@@ -139,7 +139,7 @@ impl Hybrid {
         if bytes > most {
             return Err(Error::input(
                 "the model's proxy",
-                format!("{bytes} bytes, and the device binds at most {most} at once"),
+                format!("has {bytes} bytes, but the device binds at most {most} at once"),
                 "bake a coarser one (hybrid.resolution), or use renderer.kind = \"volume\"",
             ));
         }

@@ -92,7 +92,7 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
         },
         part("known depths of pixels", size_of::<KnownDepth>() * views.depths.len()),
         part("parameters, gradient and moments", PARAMETER_COPIES * layout.len() * FLOAT),
-        part("what derives from the parameters, and its gradient", derived),
+        part("values derived from the parameters, and their gradient", derived),
         part("high words of the gradient in fixed point", high),
         part("rays", rays * per_ray),
         part("marched samples, their features and densities", marched * per_marched),

@@ -308,7 +308,7 @@ impl Training {
         if bytes > most && photographs == Photographs::Device {
             return Err(Error::input(
                 "wgpu.photographs = \"device\"",
-                format!("{bytes} bytes of pixels, and the device binds at most {most} at once"),
+                format!("{bytes} bytes of pixels, but the device binds at most {most} at once"),
                 "use \"auto\" or \"host\", which sends each step's pixels",
             ));
         }

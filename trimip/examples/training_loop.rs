@@ -30,8 +30,9 @@ pub fn train(config: &Config, steps: u64) -> trimip::Result<f64> {
             println!("step {step}: {:.2} dB", report.batch_psnr);
         }
     }
-    let photograph = scene.test.composited(0, config.data.background);
-    let frame = session.render(&scene.test.views[0].camera)?;
+    let test = scene.test.load(0)?;
+    let frame = session.render(&test.views[0].camera)?;
+    let photograph = test.composited(0, config.data.background);
     Ok(mean_absolute_error(&frame, &photograph))
 }
 

@@ -89,7 +89,7 @@ fn entry(name: &str) -> Result<&'static Entry> {
         _ => Error::input(
             format!("backend = \"{name}\""),
             "unknown backend",
-            format!("this build knows: {}", names().join(", ")),
+            format!("use one of: {}", names().join(", ")),
         ),
     })
 }
@@ -236,7 +236,7 @@ fn software(config: &Config) -> Option<String> {
 pub fn software_remark(config: &Config) -> Option<String> {
     software(config).map(|name| {
         format!(
-            "the adapter {name} is software, the processor in a GPU's place: backend = \"cpu\" is many times as fast"
+            "the adapter {name} is a software renderer on the CPU: backend = \"cpu\" is many times as fast"
         )
     })
 }
@@ -259,7 +259,7 @@ pub fn software_warning(config: &Config) -> Option<String> {
 fn software_text(name: &str, samples_per_step: u32, cells: f64) -> String {
     let step = f64::from(samples_per_step) / SOFTWARE_SAMPLES_PER_SECOND;
     format!(
-        "the adapter {name} is software, the processor in a GPU's place: a step of {} takes about {} on two cores, the \
+        "the adapter {name} is a software renderer on the CPU: a step of {} takes about {} on two cores, the \
          first about {}; use backend = \"cpu\"",
         formatting::many(samples_per_step.into(), "sample"),
         formatting::duration(step),

@@ -52,7 +52,7 @@ pub mod systems;
 pub mod view;
 
 pub use run::folder::{RunFolder, read_model};
-pub use run::train::{Outcome, Listeners, Trained, Training};
+pub use run::train::{Listeners, Outcome, Trained, Training};
 /// Readers of data sets, and the built-in scene.
 pub use trimip_data as data;
 

@@ -46,7 +46,7 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     let (count, why) = match wanted {
         Some(wanted) => (f64::from(wanted), "as asked for".to_string()),
         None if by_motion < by_time => {
-            (by_motion, "the camera moves so little that more would be alike".to_string())
+            (by_motion, "the camera moves so little that more frames would look alike".to_string())
         }
         None => (by_time, format!("{RATE} a second, {FEWEST} to {MOST}")),
     };
@@ -132,7 +132,7 @@ fn still(measured: &[Measured], last: f64) -> Option<String> {
     seconds += began.map_or(0.0, |begin| last - begin);
     (seconds > 1.0 && seconds > 0.05 * last).then(|| {
         format!(
-            "frames: nothing moves in {} of {}, which give no more than one each",
+            "frames: nothing moves in {} of {}; each such pause gives at most one frame",
             duration(seconds),
             duration(last)
         )
@@ -161,7 +161,7 @@ fn jumps(measured: &[Measured], frames: &[usize]) -> Option<String> {
         named.push(format!("{} more", jumps.len() - NAMED));
     }
     Some(format!(
-        "exposure: {} between neighbours: {}; lock it while filming, or train with loss.exposure = \"gain\"",
+        "exposure: {} between neighbours: {}; lock the exposure while filming, or train with loss.exposure = \"gain\"",
         count(jumps.len() as u64, "jump"),
         named.join(", ")
     ))

@@ -92,7 +92,11 @@ impl Film {
     /// Of kind `Input`, when ffprobe cannot read the film.
     pub fn probe(ffprobe: &Path, film: &Path) -> Result<Self> {
         let wrong = |what: String| {
-            Error::input(film.display(), what, "does a player show it? convert it to MP4, or copy it again")
+            Error::input(
+                film.display(),
+                what,
+                "check that a player shows it, then convert it to MP4 or copy it again",
+            )
         };
         let output = std::process::Command::new(ffprobe)
             .args(["-v", "error", "-select_streams", "v:0", "-show_streams", "-show_format", "-of", "json"])
@@ -102,11 +106,14 @@ impl Film {
             .map_err(|error| Error::device(format!("ffprobe cannot be started: {error}")))?;
         if !output.status.success() {
             let said = String::from_utf8_lossy(&output.stderr);
-            let last =
-                said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing").to_string();
+            let last = said
+                .lines()
+                .rfind(|line| !line.trim().is_empty())
+                .unwrap_or("it printed nothing")
+                .to_string();
             return Err(wrong(format!("ffprobe cannot read it: {last}")));
         }
-        Self::of_json(&output.stdout).ok_or_else(|| wrong("holds no film".into()))
+        Self::of_json(&output.stdout).ok_or_else(|| wrong("has no video stream".into()))
     }
 
     fn of_json(bytes: &[u8]) -> Option<Self> {
@@ -159,13 +166,13 @@ impl Film {
         );
         let mut more = Vec::new();
         if self.turned != 0 {
-            more.push(format!("turned by {}° as it says", self.turned));
+            more.push(format!("turned by {}° according to its metadata", self.turned));
         }
         if self.is_variable {
-            more.push("a variable rate: times are those of each frame".into());
+            more.push("a variable rate: each frame has its own time".into());
         }
         if self.is_interlaced {
-            more.push("interlaced: half-frames are joined".into());
+            more.push("interlaced: the frames are deinterlaced".into());
         }
         match self.range {
             Range::Standard if self.bits > 8 => more.push(format!("{} bits, of which 8 are kept", self.bits)),

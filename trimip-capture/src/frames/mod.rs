@@ -138,7 +138,7 @@ pub fn take(
         let path = target.join(&name);
         let size = image::image_dimensions(&path).map_err(|error| {
             Error::run(format!(
-                "ffmpeg took no whole frame {frame}: {error}; all it said is in {}",
+                "ffmpeg wrote no complete frame {frame}: {error}; its output is in {}",
                 taking.log.display()
             ))
         })?;

@@ -104,7 +104,7 @@ impl Poses {
         let is_slow =
             matches!(&self.engine, Engine::Colmap(colmap) if is_old(&colmap.version) && !colmap.has_cuda);
         is_slow
-            .then_some("pip install pycolmap brings version 4, which takes a fraction of the time on a CPU")
+            .then_some("pip install pycolmap installs version 4, which takes a fraction of the time on a CPU")
     }
 
     /// What these programs can do.
@@ -123,7 +123,7 @@ impl Poses {
             global: own || self.glomap.is_some(),
             only_global: self.only_glomap,
             gpu: has_gpu,
-            why_no_gpu: if gpu { "no NVIDIA GPU is here".into() } else { why_no_gpu.into() },
+            why_no_gpu: if gpu { "this machine has no NVIDIA GPU".into() } else { why_no_gpu.into() },
         }
     }
 
@@ -241,7 +241,7 @@ impl Poses {
             folder.path("images").display(),
             format!("{} placed none of these pictures", self.name()),
             format!(
-                "take more with more overlap, sharper ones, or try the matcher `exhaustive`; all it said is in {}",
+                "take more and sharper ones with more overlap, or try the matcher `exhaustive`; the output of the mapper is in {}",
                 folder.log("model").display()
             ),
         )

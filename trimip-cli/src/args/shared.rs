@@ -36,7 +36,7 @@ pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> 
     move |name| {
         let path = PathBuf::from(name);
         let fits = path.extension().is_some_and(|own| own.eq_ignore_ascii_case(ending));
-        if fits { Ok(path) } else { Err(format!("the name of such a file ends in .{ending}")) }
+        if fits { Ok(path) } else { Err(format!("expected a file name that ends in .{ending}")) }
     }
 }
 

@@ -48,7 +48,12 @@ fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             0.0,
         ),
         found("radius 1e3 to infinite", "the features of the coarsest level", same(&coarsest), 0.0),
-        found("smallest and largest radius", "are told apart", if apart > 0.0 { 0.0 } else { 1.0 }, 0.0),
+        found(
+            "smallest and largest radius",
+            "give different features",
+            if apart > 0.0 { 0.0 } else { 1.0 },
+            0.0,
+        ),
     ]
     .into_iter()
     .for_each(tell);
@@ -104,12 +109,17 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     [
         found(
             "rays along axes, diagonals, faces and edges",
-            "samples cover the ray within the box, to a step",
+            "samples cover the ray within the box, to one step",
             worst(errors),
             0.0,
         ),
-        found("the same", "distances ascend", ascending as f64, 0.0),
-        found("the same", "samples lie within the box", worst(spheres.iter().map(outside)), 1e-6),
+        found("rays along axes, diagonals, faces and edges", "distances ascend", ascending as f64, 0.0),
+        found(
+            "rays along axes, diagonals, faces and edges",
+            "samples lie within the box",
+            worst(spheres.iter().map(outside)),
+            1e-6,
+        ),
     ]
     .into_iter()
     .for_each(tell);
@@ -198,7 +208,7 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             let covered = -(1.0 - f64::from(pixel.opacity)).ln() / density;
             errors.push((apart(covered, 0.5 * sides[axis]) - 2.0 * step).max(0.0) / sides[axis]);
         }
-        tell(found(name, "half a box is seen as half, to two steps and 1e-4 of a side", worst(errors), 1e-4));
+        tell(found(name, "the medium covers half a side, to two steps and 1e-4 of it", worst(errors), 1e-4));
         tell(found(name, "all numbers are finite", strange, 0.0));
     }
     Ok(())

@@ -122,7 +122,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let (a, b) = (picture(make, &model, Hybrid, &wide)?, picture(make, &model, Volume, &wide)?);
         tell(found(
             &format!("{name}, a cone wider than it"),
-            "pixels with other bits than by volume rendering",
+            "pixels whose bits differ from volume rendering",
             changed(&a, &b),
             0.0,
         ));
@@ -133,7 +133,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         blind.file.tensors.extend(empty.map(|proxy| proxy.to_assets()).transpose()?.unwrap_or_default());
         tell(found(
             &format!("{name}, an empty proxy"),
-            "pixels with other bits than by volume rendering",
+            "pixels whose bits differ from volume rendering",
             changed(&picture(make, &blind, Hybrid, &far)?, &volume),
             0.0,
         ));

@@ -51,7 +51,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let middle = &frame.pixels[frame.pixels.len() / 2 + 4];
         tell(found(
             name,
-            "the box is solid, or is not there",
+            "the box is opaque (1e4) or empty (-1e4)",
             (f64::from(middle.opacity) - opacity).abs(),
             1e-6,
         ));
@@ -88,7 +88,7 @@ fn gradients() -> Vec<Finding> {
             let error = if strange > 0.0 { f64::NAN } else { (f64::from(x) - wide).abs() / (20.0 * rate) };
             found(
                 format!("gradients of {gradient:e}"),
-                "the step is that of f64, of its largest",
+                "the steps are those of f64, relative to the largest",
                 error,
                 if gradient < 1e-15 { 1.0 } else { 1e-5 },
             )
@@ -130,8 +130,8 @@ fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let unless = |holds: bool| if holds { 0.0 } else { 1.0 };
     [
         found(case, "parameters and moments stay finite", not_finite(numbers), 0.0),
-        found(case, "are counted where no second moment holds them", unless(before > 0), 0.0),
-        found(case, "are counted on after a resume", unless(after > before), 0.0),
+        found(case, "are counted if their second moment overflows", unless(before > 0), 0.0),
+        found(case, "are still counted after a resume", unless(after > before), 0.0),
     ]
     .into_iter()
     .for_each(tell);

@@ -60,7 +60,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     };
     tell(found(
         "one sample, depth 1e-12 to 1e12",
-        "gradient by the density, of the length",
+        "gradient by the density, relative to the length",
         worst(
             gradients.iter().zip(&thin).map(|(g, ray)| apart(g.density, expected(ray)) / f64::from(LENGTH)),
         ),
@@ -75,7 +75,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let opacity = -(-total).exp_m1();
         tell(found(
             &format!("a medium of depth 1 in {count} samples"),
-            "opacity is that of the whole",
+            "opacity is that of the undivided medium",
             apart(pixels[0].opacity, opacity),
             // Each addition rounds by at most half a unit in the last place of a sum of at most 1.
             ROUNDING + count as f64 * 6e-8,
@@ -113,8 +113,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let (pixels, gradients) = rig.composite(&mixed, by_pixel);
     let names = [
         "an opaque shell one step thick",
-        "vacuum and wall by turns",
-        "a haze before a wall",
+        "alternating vacuum and wall",
+        "a haze in front of a wall",
         "half-thick samples",
     ];
     let mut first = 0;
@@ -140,7 +140,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         });
         tell(found(
             name,
-            "gradients as in f64, of the length",
+            "gradients as in f64, relative to the length",
             worst(errors),
             16.0 * ROUNDING + ray.len() as f64 * 1.2e-7,
         ));

@@ -124,14 +124,14 @@ fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let bound = if way == Untouched::Skip { 0.0 } else { 1e-6 };
         tell(found(
             format!("texels without a gradient, \"{name}\""),
-            "move by the written rule alone",
+            "change only by the configured rule",
             worst(moved),
             bound,
         ));
         let fraction = still.len() as f64 / after.len() as f64;
         tell(found(
             format!("texels without a gradient, \"{name}\""),
-            "there are such",
+            "make up more than 10 % of the parameters",
             if fraction > 0.1 { 0.0 } else { 1.0 },
             0.0,
         ));
@@ -156,7 +156,7 @@ fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let moved = before.iter().zip(trainer.parameters()).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
     let counted = trainer.checkpoint()?.state.totals.empty_batches;
     [
-        found("batches without a sample", "no parameter moves", moved as f64, 0.0),
+        found("batches without a sample", "no parameter changes", moved as f64, 0.0),
         found("batches without a sample", "are counted", if counted >= 1 { 0.0 } else { 1.0 }, 0.0),
     ]
     .into_iter()
@@ -183,8 +183,8 @@ fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let after = trainer.checkpoint()?.state.totals;
     let recovers = after.samples > kept && after.empty_batches >= 1;
     tell(found(
-        "an occupancy grid gone empty",
-        "recovers, and says so",
+        "an emptied occupancy grid",
+        "recovers, and the empty batches are counted",
         if recovers { 0.0 } else { 1.0 },
         0.0,
     ));
@@ -220,14 +220,14 @@ pub fn long<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let case = "100,000 steps on a small scene";
     [
         found(case, "losses and parameters stay finite", strange, 0.0),
-        found(case, "the last loss in parts of that after a tenth", late / early, 1.0),
-        found(case, "the learning rate ends as written", (rate - written).abs() / written, 1e-12),
+        found(case, "the last loss, relative to that after a tenth of the steps", late / early, 1.0),
+        found(case, "the learning rate ends as configured", (rate - written).abs() / written, 1e-12),
     ]
     .into_iter()
     .for_each(&mut *tell);
     if let Some((before, after)) = memory.zip(peak_memory()) {
         let growth = (after - before) as f64 / before as f64;
-        tell(found(case, "memory grows by nothing after a tenth, in parts", growth, 0.02));
+        tell(found(case, "relative growth of memory after a tenth of the steps", growth, 0.02));
     }
     Ok(())
 }

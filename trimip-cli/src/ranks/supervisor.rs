@@ -88,8 +88,8 @@ pub fn watch() -> Result<u8> {
         }
         End::Killed => {
             terminal::error(&Error::device(format!(
-                "rank {rank} was killed ({status}); if the machine ran out of memory, give it fewer ranks; the same command goes \
-                 on from the last checkpoint"
+                "rank {rank} was killed ({status}); if the machine ran out of memory, give it fewer ranks; the same command \
+                 resumes from the last checkpoint"
             )));
             KILLED
         }

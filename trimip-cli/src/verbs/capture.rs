@@ -21,7 +21,11 @@ const PAGE: &str = "target/web/trimip_web.js";
 /// Captures and, with `--train`, trains on the scene.
 pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     if let Some(minutes) = arguments.minutes.filter(|minutes| !(minutes.is_finite() && *minutes > 0.0)) {
-        return Err(Error::input(format!("--minutes {minutes}"), "is no time", "give a number above 0"));
+        return Err(Error::input(
+            format!("--minutes {minutes}"),
+            "is not a duration",
+            "give a number above 0",
+        ));
     }
     if arguments.train {
         let set = arguments.set.clone();
@@ -83,7 +87,7 @@ fn show(captured: &Captured) -> Result<u8> {
         return command(&["export".into(), "web".into(), run_name]);
     }
     terminal::aside(format!(
-        "no page: {PAGE} is not there; tools/web.sh builds it, then: trimip-cli export web {}",
+        "no page: {PAGE} is missing; build it with tools/web.sh, then run: trimip-cli export web {}",
         quoted_path(&run)
     ));
     Ok(0)
@@ -99,7 +103,7 @@ fn command(words: &[String]) -> Result<u8> {
         Some(Verb::Train(arguments)) => train::run(&arguments),
         Some(Verb::Render(arguments)) => render::run(&arguments),
         Some(Verb::Export(arguments)) => export::run(&arguments),
-        _ => Err(Error::run("a command that capture does not know")),
+        _ => Err(Error::run("capture cannot run this command")),
     }
 }
 

@@ -30,8 +30,8 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
         let text = svg::alone(&lines, svg::TRAINING).ok_or_else(|| {
             Error::input(
                 "compare",
-                "no curve has a measure to draw",
-                "name runs that were evaluated on the way",
+                "no curve has a measurement to draw",
+                "name runs that were evaluated during training",
             )
         })?;
         save(path, &text)?;
@@ -62,9 +62,9 @@ fn html(curves: &[Curve], lines: &[Line], reach: &[f64]) -> Result<String> {
         format!("<header><h1>{}</h1></header>\n", page::escape(&names.join(", "))),
         page::plot("Error against time", lines, "One line for each curve, on its own test views."),
         format!(
-            "<section><h2>Times to given PSNRs</h2>{}<p class=\"lead\">Between two measures the time is read from a \
-             straight line over its logarithm. ≤ stands where the first measure is already above: the curve was there \
-             earlier, nobody knows when.</p></section>\n",
+            "<section><h2>Times to given PSNRs</h2>{}<p class=\"lead\">Between two measurements, the time is \
+             interpolated linearly over its logarithm. ≤ marks a curve whose first measurement is already above the PSNR, \
+             which it reached at an unknown earlier time.</p></section>\n",
             page::table(&rows(curves, reach), false)
         ),
         beside::outcomes(&entries),

@@ -47,8 +47,8 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     };
     if cameras.is_empty() {
         terminal::aside(
-            "neither the data set nor the cameras of the run folder are there: what no photograph shows is told from what \
-             nobody sees at all",
+            "neither the data set nor the run folder has training cameras: a void counts as hidden only if no line of sight \
+             from any direction reaches it",
         );
     }
     if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -86,9 +86,11 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     let bytes = mesh::write_in(&extracted.mesh, coordinates, &out)?;
     if !origin.is_zero() {
         terminal::prose(match coordinates {
-            Coordinates::Stated => "coordinates: those of the photographs, with 64 bits; a program that shows steps has 32: write \
-                                    for it with --local"
-                .to_string(),
+            Coordinates::Stated => {
+                "coordinates: those of the photographs, with 64 bits; for programs that read 32 bits, and therefore show steps, \
+                 export with --local"
+                    .to_string()
+            }
             Coordinates::Local => format!("coordinates: those of the photographs minus {origin}"),
         });
     }
@@ -146,7 +148,7 @@ fn describe(extracted: &Extracted, crop: Crop, seconds: f64) -> Vec<String> {
             mesh.positions.len(),
         ),
     ];
-    let few = || format!("{} that few cameras see left out", terminal::many(*unseen as u64, "triangle"));
+    let few = || format!("left out {} that few cameras see", terminal::many(*unseen as u64, "triangle"));
     let parts = [(crop != Crop::None).then(|| format!("crop: {crop}")), (*unseen > 0).then(few)];
     let parts: Vec<String> = parts.into_iter().flatten().collect();
     if !parts.is_empty() {

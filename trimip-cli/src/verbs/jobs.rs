@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use trimip::ranks::scatter_jobs;
-use trimip::{Outcome, Listeners, Result, Training, events::Event, machine};
+use trimip::{Listeners, Outcome, Result, Training, events::Event, machine};
 use trimip_core::{Error, ErrorKind, engine::exchange::Ranks, scene::fingerprint::Fingerprint};
 use trimip_data::settings::DataConfig;
 
@@ -98,8 +98,8 @@ fn expect_one(seen: &[RunData]) -> Result<()> {
         if let Some(difference) = last.views.difference(&run.views) {
             return Err(Error::input(
                 last.folder.display(),
-                format!("other photographs than those of {}: {difference}", run.folder.display()),
-                "give every machine the same data under the same path, and remove the run that had others",
+                format!("was trained on other photographs than {}: {difference}", run.folder.display()),
+                "give every machine the same data under the same path, and remove the run with the other photographs",
             ));
         }
     }
@@ -122,9 +122,10 @@ mod tests {
         seen.push(run("d", "chair", 5));
         let error = expect_one(&seen).unwrap_err();
         assert!(
-            error.kind() == ErrorKind::Input && error.message().starts_with("d: other photographs"),
+            error.kind() == ErrorKind::Input
+                && error.message().starts_with("d: was trained on other photographs"),
             "{error}"
         );
-        assert!(error.message().contains("of b: other pixels"), "{error}");
+        assert!(error.message().contains("than b: other pixels"), "{error}");
     }
 }

@@ -43,7 +43,7 @@ pub fn work(arguments: &Arguments, ranks: &dyn Ranks) -> Result<()> {
         Some(Verb::Bench(bench)) => bench::training::help_run(bench, ranks),
         Some(Verb::Paper(paper)) => paper::work(paper, ranks),
         Some(Verb::Plan(plan)) => plan::work(plan, ranks),
-        _ => Err(Error::run("rank 0 hands out jobs of a verb that has none")),
+        _ => Err(Error::run("rank 0 hands out jobs, but this verb has none")),
     }
 }
 

@@ -109,7 +109,7 @@ fn bench(
     if !(arguments.samples.is_finite() && arguments.samples > 0.0) {
         return Err(Error::input(
             "--samples",
-            "is no amount of samples",
+            "is not a number of samples",
             "give a number above 0, in millions",
         ));
     }
@@ -202,7 +202,7 @@ fn verdict(effects: &[Effect]) -> Option<Verdict> {
     let verdict = match needed {
         Some(true) => "needed",
         Some(false) => "not needed, plan.directions = \"on\" leaves them out",
-        None => "not to be told apart from chance, more --samples or --seeds may",
+        None => "not distinguishable from chance, more --samples or --seeds may decide it",
     };
     let text = format!("plan.{BLIND}: {verdict}: without them {change:+.2} dB, seeds {spread:.2} dB apart");
     Some(Verdict { needed, text })

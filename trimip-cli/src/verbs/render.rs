@@ -214,7 +214,7 @@ fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], came
     let refuse =
         |what: &str, expected: &str| Err(Error::input(format!("--video {}", path.display()), what, expected));
     if !is_film(arguments) {
-        return refuse("there is one view", "add --turntable N, --flythrough N or --path FILE");
+        return refuse("has only one view", "add --turntable N, --flythrough N or --path FILE");
     }
     if arguments.format != PictureFormat::Png || !what.contains(&Quantity::Color) {
         return refuse("is made of colours in PNG files", "leave out --format, and name color in --what");
@@ -227,7 +227,7 @@ fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], came
     }
     let size = |camera: &Camera| (camera.intrinsics.width, camera.intrinsics.height);
     if cameras.iter().any(|(_, camera)| size(camera) != size(&cameras[0].1)) {
-        return refuse("the views have several sizes", "give the frames of the path one w and h");
+        return refuse("has views of several sizes", "give all frames of the path the same w and h");
     }
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         run_folder::create_writable(folder)?;

@@ -43,7 +43,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         many => {
             return Err(Error::input(
                 "--strip",
-                format!("shows one camera, and {} are named", many.len()),
+                format!("shows one camera, but {} are named", many.len()),
                 "name one, such as --views 0",
             ));
         }
@@ -173,7 +173,7 @@ fn table(rows: &[(String, Vec<Picture>)]) -> Vec<String> {
     };
     let widest = models.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
     let heads: String = FACTORS.iter().map(|factor| format!("{:>8}", format!("1/{factor}"))).collect();
-    let head = format!("{:widest$}{heads}  dB, above the original", "");
+    let head = format!("{:widest$}{heads}  PSNR against the original, dB", "");
     let line = |(name, pictures): &(String, Vec<Picture>)| {
         let values: String =
             pictures.iter().zip(originals).map(|(a, b)| format!("{:8.2}", psnr(&a.rgb, &b.rgb))).collect();

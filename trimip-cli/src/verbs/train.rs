@@ -12,7 +12,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::run::Recorded;
-use trimip::{Outcome, Listeners, Result, RunFolder, Trained, Training, backends, events::Event};
+use trimip::{Listeners, Outcome, Result, RunFolder, Trained, Training, backends, events::Event};
 use trimip_core::run::Observer;
 use trimip_view::LiveView;
 
@@ -114,7 +114,7 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
         if last.bounded {
             let measured = last.scales.iter().map(|scale| scale.images).max().unwrap_or(0);
             terminal::note(format!(
-                "measured on {measured} of {}, as many as eval.time_fraction had time for; trimip-cli eval {} measures all",
+                "measured on {measured} of {}, as many as eval.time_fraction allowed; trimip-cli eval {} measures all",
                 terminal::count(last.frames as u64, "test view"),
                 recorded.folder.root().display()
             ));

@@ -24,7 +24,9 @@ pub fn run(arguments: &ViewArguments) -> Result<u8> {
     let listener = Listener::bind(SocketAddr::new(arguments.bind, arguments.port))?;
     let server = Server::open(listener, scene, renderers, None)?;
     if !arguments.bind.is_loopback() {
-        terminal::aside("warning: everybody who knows the address below can look, and nothing is encrypted");
+        terminal::aside(
+            "warning: everybody who knows the address below can see the model, and nothing is encrypted",
+        );
     }
     terminal::line(&server.address);
     terminal::aside("open this address in a browser; Ctrl-C ends");

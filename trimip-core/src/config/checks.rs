@@ -24,12 +24,11 @@ impl Config {
             }
         }
         let settings = self.as_settings();
-        let value =
-            |path: &str| settings.iter().find(|(other, ..)| *other == path).map(|(_, value, _)| value);
-        let place = |path: &str| in_memory(path, value(path));
+        let place = |path: &str| in_memory(path, settings.get(path));
         let defaults = settings.definitions();
-        let given =
-            |path: &str| value(path).map(Value::to_string) != defaults.default(path).map(Value::to_string);
+        let given = |path: &str| {
+            settings.get(path).map(Value::to_string) != defaults.default(path).map(Value::to_string)
+        };
         self.check_all(&settings, &Checker::new(&place, &given))
     }
 
@@ -58,13 +57,13 @@ impl Config {
             to.together(
                 !self.occupancy.hull,
                 &["occupancy.hull", "scene.contraction"],
-                "false where scene.contraction is not \"none\": silhouettes bound a scene",
+                "false where scene.contraction is not \"none\": silhouettes do not bound contracted space",
             )?;
         }
         to.together(
             !self.occupancy.hull || (self.occupancy.seeded == 0.0 && self.occupancy.cleared == 0.0),
             &["occupancy.hull", "occupancy.seeded", "occupancy.cleared"],
-            "silhouettes or points: silhouettes bound the grid for the whole run, points for a part of it; leave the others at 0 or false",
+            "occupancy.hull, or occupancy.seeded and occupancy.cleared, but not both: silhouettes bound the grid for the whole run, points for a part of it; leave the others at 0 or false",
         )?;
         self.encoder.check(to)?;
         self.hash_grid.check(to)?;
@@ -100,7 +99,10 @@ impl Config {
                 return Err(Error::input(
                     to.place(path),
                     format!("is a setting of encoder.kind = {}", owner.name()),
-                    format!("set encoder.kind to it, or leave this out: it is {}", self.encoder.kind.name()),
+                    format!(
+                        "set encoder.kind to it, or leave this setting out: encoder.kind is {}",
+                        self.encoder.kind.name()
+                    ),
                 ));
             }
         }
@@ -115,7 +117,7 @@ impl PhotographsConfig {
             self.convention == Convention::Public
                 || self.edge_exponents.iter().all(|&exponent| exponent == 0.0),
             &["data.edge_exponents", "data.convention"],
-            "[] where data.convention = \"premultiplied\", whose silhouettes are as in the scene",
+            "[] where data.convention = \"premultiplied\", whose silhouettes are not darkened",
         )
     }
 }
@@ -126,7 +128,7 @@ impl SceneConfig {
         to.together(
             sides.into_iter().all(|side| side > 0.0),
             &["scene.aabb_max", "scene.aabb_min"],
-            "a corner above aabb_min on every axis, all finite",
+            "scene.aabb_max above scene.aabb_min on every axis, all finite",
         )?;
         to.check(self.up.iter().any(|&x| x != 0.0), "scene.up", "three numbers that are not all 0")?;
         let [x, y, z] = std::array::from_fn(|axis| self.aabb_max[axis] - self.aabb_min[axis]);
@@ -154,7 +156,7 @@ impl FieldConfig {
         to.together(
             self.precision != Precision::F16 || !(self.biases || self.joined > 0),
             &["field.precision", "field.biases", "field.joined"],
-            "field.precision = \"f32\" for networks with biases or an input that joins again",
+            "field.precision = \"f32\" for networks with field.biases or field.joined",
         )
     }
 }
@@ -211,7 +213,7 @@ impl TrainConfig {
         to.check(
             self.background_fraction.is_whole(),
             "train.background_fraction",
-            "[[0.0, fraction], ...] with rising fractions below 1 of the run and of the rays from 0 to 1",
+            "[[0.0, fraction], ...] with rising fractions of the run below 1 and fractions of the rays from 0 to 1",
         )?;
         to.check(
             self.backward_fraction.is_whole(),
@@ -246,7 +248,7 @@ impl EvalConfig {
         to.together(
             self.min_psnr <= 0.0 || self.final_stride(1).is_some(),
             &["eval.min_psnr", "eval.final"],
-            "0, where eval.final = false measures nothing",
+            "0 where eval.final = false: nothing is measured at the end",
         )
     }
 }

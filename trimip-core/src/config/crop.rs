@@ -50,7 +50,7 @@ impl FromStr for Crop {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let refuse = |what: &str| Err(format!("`{text}` is no crop: {what}; expected {SYNTAX}"));
+        let refuse = |what: &str| Err(format!("`{text}` is not a crop: {what}; expected {SYNTAX}"));
         let (kind, rest) = text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
         let numbers: Result<Vec<f64>, _> = match rest.trim() {
             "" => Ok(Vec::new()),
@@ -74,7 +74,7 @@ impl FromStr for Crop {
             ("ball", &[_, _, _, _]) => refuse("the radius must be above 0"),
             ("box", _) => refuse("a box has six numbers"),
             ("ball", _) => refuse("a ball has four numbers"),
-            _ => refuse("it begins with none, box or ball"),
+            _ => refuse("a crop begins with none, box or ball"),
         }
     }
 }

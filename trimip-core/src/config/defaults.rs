@@ -5,6 +5,7 @@ use crate::Result;
 use crate::config::range::Range;
 use crate::config::settings::checker::Checker;
 use crate::config::settings::table::{Item, items};
+use crate::config::settings::values::shown;
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock};
 use toml::{Table, Value};
@@ -140,7 +141,7 @@ impl Definitions {
                     };
                     let setting = DocumentedSetting {
                         key: key.clone(),
-                        default: default.to_string(),
+                        default: shown(&default),
                         range: range.as_ref().map_or(String::new(), Range::to_string),
                         meaning,
                         free,

@@ -68,7 +68,7 @@ impl std::fmt::Display for Range {
 /// A number as people write it: large and small ones by powers of ten.
 fn written(number: &Value) -> String {
     match number {
-        Value::Float(number) if *number != 0.0 && !(1e-3..1e3).contains(&number.abs()) => {
+        Value::Float(number) if *number != 0.0 && (number.abs() <= 1e-3 || number.abs() >= 1e3) => {
             format!("{number:e}")
         }
         Value::Float(number) => number.to_string(),

@@ -13,8 +13,8 @@ use crate::config::defaults::{Definitions, Placed};
 use crate::{Advice, Error, Place, Result};
 use checker::Checker;
 use earlier::{RETIRED, renamed};
-use setting_value::SettingValue;
 use serde::{Deserialize, Serialize};
+use setting_value::SettingValue;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use text::parts_of;
@@ -120,7 +120,7 @@ impl Settings {
     pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
         let table = DeTable::parse(text).map_err(|error| {
             let place = error.span().map_or(Place::from(name), |span| place(name, text, span.start));
-            Error::input(place, format!("not valid TOML: {}", error.message()), "mend the line")
+            Error::input(place, format!("not valid TOML: {}", error.message()), "correct the line")
         })?;
         self.apply_table(name, text, "", table.get_ref())
     }
@@ -305,7 +305,7 @@ impl Settings {
     pub(crate) fn check_ranges(&self, to: &Checker<'_>) -> Result<()> {
         for (path, value, _) in self.iter() {
             if let Some(range) = self.definitions.range(path) {
-                to.check(range.holds(value), path, &range.expected(value))?;
+                to.check(range.holds(&value.0), path, &range.expected(&value.0))?;
             }
         }
         Ok(())
@@ -313,7 +313,9 @@ impl Settings {
 
     /// Dotted path, effective value and origin of every setting, sorted by path.
     pub fn iter(&self) -> impl Iterator<Item = (&str, SettingValue, &Origin)> {
-        self.entries.iter().map(|(path, (value, origin))| (path.as_str(), SettingValue(value.clone()), origin))
+        self.entries
+            .iter()
+            .map(|(path, (value, origin))| (path.as_str(), SettingValue(value.clone()), origin))
     }
 
     /// Path, value and origin of the setting at `path`, for an error.

@@ -289,7 +289,11 @@ impl ErrorMap {
         let finite =
             |sums: &Vec<[f32; 2]>| sums.as_flattened().iter().all(|sum| sum.is_finite() && *sum >= 0.0);
         if !rising || !finite(&sums) {
-            return Err(Error::input(name, "its error map is none: the file is damaged", Advice::StartOver));
+            return Err(Error::input(
+                name,
+                "its error map is invalid: the file is damaged",
+                Advice::StartOver,
+            ));
         }
         let guide = Guide::new(&starts);
         Ok((Self { sums, starts, guide, ..self.clone() }, pending.as_chunks().0.to_vec()))

@@ -91,7 +91,7 @@ impl std::fmt::Display for Moved {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(
             f,
-            "poses of {} refined: medians {:.3}° and {:.3e} world units, {:.2} % of a picture; focal length {:+.2} %, principal point by \
+            "poses of {} refined: median change {:.3}°, {:.3e} world units, {:.2} % of a picture; focal length {:+.2} %, principal point by \
              {:.2} % of a picture, k1 {:+.4}",
             count(self.photographs, "photograph"),
             self.degrees,
@@ -119,7 +119,10 @@ impl std::fmt::Display for Aligned {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { views, given, aligned } = self;
         let of = count(*views, "test view");
-        write!(f, "right halves of {of}: {given:.2} dB as given, {aligned:.2} dB aligned on the left halves")
+        write!(
+            f,
+            "right halves of {of}: {given:.2} dB with the given poses, {aligned:.2} dB with poses aligned on the left halves"
+        )
     }
 }
 

@@ -23,7 +23,7 @@ pub(crate) fn deflated(bytes: &[u8], effort: Compression) -> Result<Tensor> {
 /// # Errors
 /// A description of the fault, to be put after the tensor's name.
 pub(crate) fn inflated(packed: &Tensor, expected: usize) -> std::result::Result<Vec<u8>, String> {
-    let Values::U8(packed) = &packed.values else { return Err("is not of bytes".into()) };
+    let Values::U8(packed) = &packed.values else { return Err("is not u8".into()) };
     let mut bytes = Vec::new();
     // One byte more than expected is enough to see that there are too many.
     match DeflateDecoder::new(&packed[..]).take(expected as u64 + 1).read_to_end(&mut bytes) {

@@ -151,7 +151,7 @@ impl TensorFile {
     /// When there is no such entry.
     pub fn text(&self, file: &str, key: &str) -> Result<&str> {
         self.metadata.get(key).map(String::as_str).ok_or_else(|| {
-            Error::input(file, format!("no metadata `{key}`"), "this is not a file written by trimip-cli")
+            Error::input(file, format!("no metadata `{key}`"), "use a file that trimip-cli wrote")
         })
     }
 
@@ -210,8 +210,8 @@ impl TensorFile {
         let broken = |error: safetensors::SafeTensorError| {
             Error::input(
                 file,
-                format!("not a whole safetensors file: {error}"),
-                "use a file that was written to its end",
+                format!("not a complete safetensors file: {error}"),
+                "use a file that was written completely",
             )
         };
         let views = SafeTensors::deserialize(bytes).map_err(broken)?;

@@ -126,8 +126,8 @@ impl Measures {
     pub fn judge(&self, eval: &EvalConfig) -> Result<()> {
         if self.psnr.is_nan() {
             return Err(Error::run(
-                "failed to learn: mean PSNR is not a number, pictures of the model are not finite, or no pixel of the test views is \
-                 compared; look at the pictures and the masks, or lower optimizer.learning_rate",
+                "failed to learn: mean PSNR is not a number, because pictures of the model are not finite, or no pixel of the test \
+                 views is compared; look at the pictures and the masks, or lower optimizer.learning_rate",
             ));
         }
         if eval.min_gain != 0.0 && !self.learned(eval.min_gain) {
@@ -149,7 +149,7 @@ impl Measures {
     /// A warning about a model that is transparent where the photographs are opaque, with a remedy.
     pub fn remark(&self, remedy: Remedy) -> Option<String> {
         let advice = match remedy {
-            Remedy::Opacity => "loss.opacity = 0.1 trains solids that hide any".to_string(),
+            Remedy::Opacity => "loss.opacity = 0.1 trains solid models that hide every background".to_string(),
             Remedy::Photographs => "the plan trains opaque rays (plan.solids) from 2^20 pixels on: give more photographs, or larger \
                  ones"
                 .into(),
@@ -159,7 +159,7 @@ impl Measures {
         };
         (self.psnr - self.psnr_opposite > SHINES_THROUGH).then(|| {
             let opposite = self.psnr_opposite;
-            format!("the background shines through the model: {opposite:.2} dB on the opposite one; {advice}")
+            format!("the background shines through the model: {opposite:.2} dB on the opposite background; {advice}")
         })
     }
 }

@@ -111,8 +111,8 @@ impl Run<'_> {
                 Attempt::NoTime(finest) if finest < self.coarsest() => {}
                 Attempt::NoTime(_) => {
                     return Err(Error::run(format!(
-                        "no test view could be rendered within {allowed:.0} s; the model is written, trimip-cli eval measures it \
-                         without a limit, as eval.time_fraction = 0 does"
+                        "no test view could be rendered within {allowed:.0} s; the model is written: measure it with trimip-cli \
+                         eval, which has no time limit, or set eval.time_fraction = 0"
                     )));
                 }
             }

@@ -131,8 +131,8 @@ impl Run<'_> {
         {
             // A failed device returns no state: only what was stored before remains.
             let message = match kept {
-                Some(step) => format!("the device failed: the checkpoint of step {step} is kept, the same command goes on from it"),
-                None => "the device failed before a checkpoint was written; train.checkpoint_seconds says how often".into(),
+                Some(step) => format!("the device failed: the checkpoint of step {step} is kept, the same command resumes from it"),
+                None => "the device failed before a checkpoint was written; train.checkpoint_seconds sets how often checkpoints are written".into(),
             };
             self.events.emit(&Event::Warning { message });
         }
@@ -267,7 +267,7 @@ impl Run<'_> {
         if let Err(error) = self.store(&checkpoint, kept) {
             let step = totals.step;
             let message = format!(
-                "no checkpoint of step {step}: {error}; training goes on and tries again at the next one"
+                "no checkpoint of step {step}: {error}; training continues and tries again at the next checkpoint"
             );
             self.events.emit(&Event::Warning { message });
         }
@@ -324,8 +324,8 @@ fn remaining(kept: Option<u64>) -> String {
 /// The error of a run whose rays hit nothing.
 fn blind(totals: &Totals) -> Error {
     Error::run(format!(
-        "{} steps of {} rays kept no sample: no ray sees anything of the box from scene.aabb_min to scene.aabb_max; set them to \
-         where the subject is (trimip-cli data inspect tells where the cameras are)",
+        "{} steps of {} rays kept no sample: no ray hits anything in the box from scene.aabb_min to scene.aabb_max; set them to \
+         where the subject is (trimip-cli data inspect shows where the cameras are)",
         totals.step, totals.rays
     ))
 }

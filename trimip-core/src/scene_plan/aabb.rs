@@ -58,9 +58,10 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
             }
             (fitted, format!("the silhouettes fill {percent:.0} % of the box {}", start.source))
         }
-        None if found => {
-            (rounded(&start.aabb), format!("the photographs have no silhouettes; the box {}", start.source))
-        }
+        None if found => (
+            rounded(&start.aabb),
+            format!("the photographs have no silhouettes; the box is the one {}", start.source),
+        ),
         None => {
             return Proposal::Unknown(
                 "the photographs have no silhouettes, and the cameras no common view: the box stays as configured"
@@ -134,8 +135,8 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     }
     Some(Proposal::Set {
         reason: format!(
-            "the photographs show their surroundings: space keeps its shape within {} units of {source}, and all beyond \
-             is contracted{}",
+            "the photographs show their surroundings: space keeps its shape within {} units of {source}, and is \
+             contracted beyond{}",
             significant(radius),
             told.map_or_else(String::new, |told| format!("; {told}"))
         ),
@@ -150,7 +151,7 @@ fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f6
         return Some((
             centre,
             radius,
-            "the middle of what the cameras see along the direction in which all look",
+            "the middle of what the cameras see in their common viewing direction",
         ));
     }
     let cameras = cameras(facts.train);
@@ -161,8 +162,8 @@ fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f6
         distances.get(distances.len() / 2).copied().filter(|distance| distance.is_finite() && *distance > 0.0)
     };
     match focus(&cameras).filter(|focus| is_ahead(&cameras, *focus)) {
-        Some(focus) => Some((focus, BALL * median(focus)?, "what the cameras look at")),
-        None => Some((midst, BALL * median(midst)?, "the midst of the cameras")),
+        Some(focus) => Some((focus, BALL * median(focus)?, "the point that the cameras look at")),
+        None => Some((midst, BALL * median(midst)?, "the mean of the camera positions")),
     }
 }
 
@@ -206,7 +207,7 @@ fn around_focus(facts: &Facts<'_>) -> Option<Start> {
         return Some(Start { aabb, source: "that half of the cameras see".into() });
     }
     let aabb = cube(SURROUNDINGS * middle);
-    Some(Start { aabb, source: "lies around what the cameras look at, with its surroundings".into() })
+    Some(Start { aabb, source: "around what the cameras look at and its surroundings".into() })
 }
 
 fn volume(aabb: &Aabb<f64>) -> f64 {

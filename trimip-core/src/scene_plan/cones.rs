@@ -21,7 +21,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     let number = width.parse().unwrap_or(WIDTH * footprint);
     Proposal::Set {
         reason: format!(
-            "pixels wider than {width} units in the middle of the box are the mean of cones of that width, at most \
+            "pixels wider than {width} units in the middle of the box are divided into cones of that width, at most \
              {MOST} x {MOST}"
         ),
         changes: vec![

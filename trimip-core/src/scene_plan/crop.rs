@@ -25,7 +25,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
         Crop::Ball { centre: centre.to_array().map(|x| rounded(x, radius)), radius: rounded(radius, radius) };
     Proposal::Set {
         reason: format!(
-            "meshes, and films and viewers that ask for it, show what lies within {} units of what the cameras look at",
+            "meshes, and films and viewers on request, show only the ball with a radius of {} units around what the cameras look at",
             significant(radius)
         ),
         changes: vec![("scene.crop", Value::String(crop.to_string()))],

@@ -21,7 +21,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     }
     let known = context.facts.train.depths.len();
     if known == 0 {
-        let reason = "the data state no points that training photographs saw, and no depth images";
+        let reason = "the data set has no points that training photographs show, and no depth images";
         return Proposal::Unknown(reason.into(), "use photographs with a COLMAP model or with depth images");
     }
     let weights = WEIGHTS.iter().map(|piece| Value::Array(piece.map(Value::Float).to_vec())).collect();
@@ -33,7 +33,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     changes.retain(|(path, _)| !context.given(path));
     Proposal::Set {
         reason: format!(
-            "points that photographs saw, or depth images, tell where the rays of {known} pixels end: the run begins near the points, the space before them stays empty, and until half of the run rays are drawn to them"
+            "points that photographs show, or depth images, give the distances of {known} pixels: the run begins near the points, the space in front of them stays empty, and until half of the run rays are drawn to end at them"
         ),
         changes,
     }

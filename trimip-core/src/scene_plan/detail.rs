@@ -30,7 +30,9 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("there is no photograph".into());
     };
     let own = ENCODERS.iter().find(|(kind, _)| *kind == context.now.encoder.kind);
-    let Some((_, own)) = own else { return Proposal::Keep("the encoder has a detail of its own".into()) };
+    let Some((_, own)) = own else {
+        return Proposal::Keep("the plan sets no resolution for this encoder".into());
+    };
     let Fineness { what, width, mut changes } = own(context);
     if acts(context, "renderer.steps_per_diagonal") {
         // The configured box is arbitrary: only the step matters.
@@ -41,7 +43,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("the encoder's detail and the steps are given".into());
     }
     let reason = format!(
-        "a pixel sees {} units at the distance of the box; {what} are {:.1} and steps {:.1} times as wide",
+        "a pixel covers {} units at the distance of the box; {what} are {:.1} and steps {:.1} times as wide",
         significant(footprint),
         width / footprint,
         changes.iter().find(|(path, _)| path.starts_with("renderer")).map_or(

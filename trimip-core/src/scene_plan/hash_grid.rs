@@ -71,7 +71,7 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
     if !encodes_places(context) {
         let reason = match recipe::has_many_pixels(context.facts.train) {
             true => "settings of another encoder are given",
-            false => "the photographs have few pixels: planes are smoother where none of them looks",
+            false => "the photographs have few pixels: planes are smoother where no camera looks",
         };
         return Proposal::Keep(reason.into());
     }
@@ -90,7 +90,7 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
     ];
     changes.retain(|(path, _)| !context.given(path));
     Proposal::Set {
-        reason: "places have more detail than three planes hold; features of cells narrower than a sample are weighed down".into(),
+        reason: "places have more detail than three planes can hold; features of cells narrower than a sample are down-weighted".into(),
         changes,
     }
 }

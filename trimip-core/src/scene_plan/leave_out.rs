@@ -46,11 +46,11 @@ pub(super) fn directions(context: &Context<'_>) -> Proposal {
     let Context { now, configured, .. } = *context;
     if configured.plan.directions == PlanChoice::Auto || !now.field.directions {
         return Proposal::Keep(
-            "the photographs alone do not tell whether colours change with the view".into(),
+            "the photographs alone do not show whether colours depend on the viewing direction".into(),
         );
     }
     Proposal::LeaveOut {
-        reason: "colours depend on the place alone".into(),
+        reason: "colours depend on the position alone".into(),
         changes: vec![("field.directions", Value::Boolean(false))],
     }
 }

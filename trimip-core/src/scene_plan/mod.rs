@@ -69,7 +69,7 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
     if let Some(setting) = depth::without_points(&planned, facts.train) {
         return Err(Error::input(
             settings.place(setting),
-            "the data state no points that training photographs saw, and no depth images",
+            "the data set has no points that training photographs show, and no depth images",
             "set it to 0, or use photographs with a COLMAP model or with depth images",
         ));
     }

@@ -55,8 +55,8 @@ pub(super) fn settle(settings: &mut Settings, facts: &Facts<'_>) -> Result<Optio
 
 fn reason(origin: LocalOrigin) -> String {
     format!(
-        "the cameras are far from the origin of their coordinates: this program's count from {origin}; cameras and meshes are \
-         written in those of the photographs"
+        "the cameras are far from the origin of their coordinates: this program uses coordinates relative to {origin}; cameras \
+         and meshes are written in the coordinates of the photographs"
     )
 }
 

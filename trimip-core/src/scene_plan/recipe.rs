@@ -78,11 +78,15 @@ const WIDE_BATCH: i64 = 262_144;
 const LONG_BATCH: i64 = 65_536;
 const SHORT_BATCHES: [u64; 2] = [4096, 32_768];
 
-/// Marching steps over a run, for budgets below both of [`FINE_STEPS`], between them, and above: long steps learn the
+/// Marching steps over a run of an object, for budgets below both of [`FINE_STEPS`], between them, and above: long steps learn the
 /// rough shape from few samples.
 const SHORT_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]];
 const LONG_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]];
 const LONGEST_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.0146, 4.0], [0.0583, 2.0], [0.292, 1.0], [0.972, 0.5]];
+
+/// Marching steps over a run of a place. Surfaces of places are thin and seen at grazing angles. Half of the uniform step at the end gains
+/// 0.35 dB on *fox* after 600 s and 0.5 dB on *bonsai* after 1300 s of one thread; a quarter gains nothing more.
+const PLACE_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.08, 4.0], [0.25, 2.0], [0.45, 1.0], [0.7, 0.5]];
 
 /// Batch size over a long run: half at first, while samples are alike.
 const LONG_BATCH_SCALE: &[[f64; 2]] = &[[0.0, 0.5], [0.292, 1.0]];
@@ -102,13 +106,13 @@ pub(super) fn has_alpha(views: &ViewSet) -> bool {
 pub(super) fn background(context: &Context<'_>) -> Proposal {
     let views = context.facts.train;
     if has_alpha(views) {
-        return Proposal::Keep("the photographs have alpha: theirs is the configured one".into());
+        return Proposal::Keep("the photographs have alpha: the configured background is used".into());
     }
     if let Some(colour) = plain::colour(views).filter(|_| context.now.scene.contraction == Contraction::None)
     {
         let colour = colour.map(|value| Value::Float((f64::from(value) * 1000.0).round() / 1000.0));
         return Proposal::Set {
-            reason: "the borders of all photographs have one colour, which is behind the box".into(),
+            reason: "the borders of all photographs have one colour, which becomes the background".into(),
             changes: vec![("data.background", Value::Array(colour.to_vec()))],
         };
     }
@@ -126,7 +130,7 @@ pub(super) fn background(context: &Context<'_>) -> Proposal {
         (sum / (255.0 * all) * 1000.0).round() / 1000.0
     });
     Proposal::Set {
-        reason: "the photographs have no alpha: behind the box is their mean colour".into(),
+        reason: "the photographs have no alpha: their mean colour becomes the background".into(),
         changes: vec![("data.background", Value::Array(mean.map(Value::Float).to_vec()))],
     }
 }
@@ -134,7 +138,7 @@ pub(super) fn background(context: &Context<'_>) -> Proposal {
 pub(super) fn edges(context: &Context<'_>) -> Proposal {
     let views = context.facts.train;
     if !has_alpha(views) {
-        return Proposal::Keep("the photographs have no alpha: all conventions are one".into());
+        return Proposal::Keep("the photographs have no alpha: all conventions are equivalent".into());
     }
     let Some(exponents) = crate::scene::edge_exponents::fit(views) else {
         return Proposal::Keep("every photograph shows silhouettes as in the scene".into());
@@ -142,20 +146,23 @@ pub(super) fn edges(context: &Context<'_>) -> Proposal {
     let told: Vec<String> = exponents.iter().map(|exponent| format!("{exponent:.3}")).collect();
     let value = |exponent: &f64| Value::Float((1e3 * exponent).round() / 1e3);
     Proposal::Set {
-        reason: format!("means of straight colours darken silhouettes as opacity^{}", told.join(", ^")),
+        reason: format!(
+            "coarse photographs are means of straight colours, which darken silhouettes by opacity^{}",
+            told.join(", ^")
+        ),
         changes: vec![("data.edge_exponents", Value::Array(exponents.iter().map(value).collect()))],
     }
 }
 
 pub(super) fn hull(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction != Contraction::None {
-        return Proposal::Keep("space has no end: silhouettes bound none".into());
+        return Proposal::Keep("space is unbounded: silhouettes do not bound it".into());
     }
     if !silhouettes::any(context.facts.train) {
         return Proposal::Keep("there are no silhouettes".into());
     }
     Proposal::Set {
-        reason: "where two photographs show only background, nothing is placed".into(),
+        reason: "space that two photographs show as background stays empty".into(),
         changes: vec![("occupancy.hull", Value::Boolean(true))],
     }
 }
@@ -172,16 +179,16 @@ pub(super) fn has_many_pixels(views: &ViewSet) -> bool {
 
 pub(super) fn solids(context: &Context<'_>) -> Proposal {
     if !knows_opacity(context.now, context.facts.train) {
-        return Proposal::Keep("the photographs have no alpha that opacity could be compared with".into());
+        return Proposal::Keep("the photographs have no alpha to compare opacity with".into());
     }
     if !has_alpha(context.facts.train) && !has_many_pixels(context.facts.train) {
         return Proposal::Keep(
-            "with so few pixels, what is opaque would stand in front of the cameras".into(),
+            "with so few pixels, opaque rays would end directly in front of the cameras".into(),
         );
     }
     let known = match has_alpha(context.facts.train) {
         true => "the photographs have alpha: opacity is compared with it",
-        false => "space has no end: every ray meets something",
+        false => "space is unbounded: every ray is trained to be opaque",
     };
     Proposal::Set {
         reason: format!("{known}, so that nothing shines through"),
@@ -191,15 +198,15 @@ pub(super) fn solids(context: &Context<'_>) -> Proposal {
 
 pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
     let mut changes = vec![("renderer.min_weight", Value::Float(FAINT))];
-    let mut reason = "faint samples of a ray merge, so that a step sees more rays";
+    let mut reason = "faint samples of a ray are merged, so that a step has more rays";
     if context.now.scene.contraction != Contraction::None {
         let distortion = DISTORTIONS[usize::from(context.now.field.direction_delay > 0.0)];
         changes.push(("loss.distortion", Value::Float(distortion)));
-        reason = "rays of places end in thin surfaces; faint samples of a ray merge, so that a step sees more rays";
+        reason = "rays of places end at thin surfaces; faint samples of a ray are merged, so that a step has more rays";
     }
     changes.retain(|(path, _)| !context.given(path));
     if changes.is_empty() {
-        return Proposal::Keep("the weight up to which samples merge is given".into());
+        return Proposal::Keep("the weight up to which samples are merged is given".into());
     }
     Proposal::Set { reason: reason.into(), changes }
 }
@@ -211,15 +218,15 @@ pub(super) fn direction_delay(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("the scene is bounded".into());
     }
     if !context.now.field.directions {
-        return Proposal::Keep("colours do not change with the view".into());
+        return Proposal::Keep("colours do not depend on the viewing direction".into());
     }
     let photographs = context.facts.train.photographs();
     if photographs >= MANY_VIEWS {
-        return Proposal::Keep(format!("{photographs} photographs see most places from several sides"));
+        return Proposal::Keep(format!("{photographs} photographs show most places from several sides"));
     }
     Proposal::Set {
         reason: format!(
-            "with {photographs} photographs, density before a camera could show that camera's picture alone: colours see directions late"
+            "with {photographs} photographs, density in front of a camera could show that camera's picture alone: colours ignore the viewing direction at first"
         ),
         changes: vec![("field.direction_delay", Value::Float(DIRECTION_DELAY))],
     }
@@ -251,7 +258,7 @@ pub(super) fn error_map(context: &Context<'_>) -> Proposal {
         return Proposal::Keep(often);
     }
     Proposal::Set {
-        reason: format!("{often}: most are drawn where the errors of earlier ones are large"),
+        reason: format!("{often}: most rays are drawn where earlier errors are large"),
         changes: vec![("train.error_map", Value::Float(BY_ERROR))],
     }
 }
@@ -265,7 +272,10 @@ fn seen(context: &Context<'_>) -> (f64, String) {
         Contraction::Ball => place,
     };
     let seen = context.budget() / samples_per_ray / pixels;
-    (seen, format!("the budget sees each of {:.1} M pixels about {} times", 1e-6 * pixels, significant(seen)))
+    (
+        seen,
+        format!("the budget draws each of {:.1} M pixels about {} times", 1e-6 * pixels, significant(seen)),
+    )
 }
 
 /// A run that draws few of the pixels learns more from coarse ones, each of which is the mean of many.
@@ -275,13 +285,13 @@ pub(super) fn coarse_to_fine(context: &Context<'_>) -> Proposal {
         return Proposal::Keep(often);
     }
     if context.facts.train.scales.len() < 2 {
-        return Proposal::Keep(format!("{often}, but there is one scale"));
+        return Proposal::Keep(format!("{often}, but there is only one scale"));
     }
     let mut changes = vec![("train.finest_scale", pieces(COARSE_FIRST))];
-    let mut told = "half of the run leaves the finest scale out";
+    let mut told = "the first half of the run leaves the finest scale out";
     if !context.given("train.scale_weighting") {
         changes.push(("train.scale_weighting", Value::Float(SCALES_ALIKE)));
-        told = "half of the run leaves the finest scale out, and all scales get equally many rays";
+        told = "the first half of the run leaves the finest scale out, and all scales get equally many rays";
     }
     Proposal::Set { reason: format!("{often}: {told}"), changes }
 }
@@ -309,9 +319,9 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
         }
     };
     let step_scale: &[[f64; 2]] = match samples {
+        _ if config.scene.contraction == Contraction::Ball => PLACE_STEPS,
         _ if samples >= FINE_STEPS[1] => LONGEST_STEPS,
-        // Surfaces of places are thin: longer steps at the end pass through them, and render speckles.
-        _ if long || config.scene.contraction == Contraction::Ball => LONG_STEPS,
+        _ if long => LONG_STEPS,
         _ => SHORT_STEPS,
     };
     let mut changes =
@@ -332,11 +342,11 @@ pub(super) fn schedule(context: &Context<'_>) -> Proposal {
     }
     changes.retain(|(path, _)| !context.given(path) && config.encoder.kind.takes(path));
     if changes.is_empty() {
-        return Proposal::Keep("all that follows the budget is given".into());
+        return Proposal::Keep("all settings that follow the budget are given".into());
     }
     let bought = match config.train.steps {
         0 => format!(
-            "{:.0} s on {} buy about {:.0} M samples",
+            "{:.0} s on {} allow about {:.0} M samples",
             config.train.seconds,
             compute.name,
             1e-6 * hash_grid::pace(config) * samples

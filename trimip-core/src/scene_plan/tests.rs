@@ -423,7 +423,7 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
         let set = ["train.samples_per_step=65536", &format!("train.steps={steps}")];
         let config = planned(&views_of(false, count), &set).unwrap().0;
         assert_eq!(config.hash_grid.log2_entries, entries, "{count} photographs, {steps} steps");
-        assert_eq!(config.renderer.step_scale.at(1.0), if steps == 200_000 { 0.5 } else { 1.0 });
+        assert_eq!(config.renderer.step_scale.at(1.0), 0.5);
     }
     let (bounded, _) = of(true, &["train.samples_per_step=65536", "train.steps=2000"]);
     assert_eq!(bounded.renderer.step_scale.at(1.0), 2.0);

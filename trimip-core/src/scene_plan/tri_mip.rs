@@ -96,7 +96,7 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("the encoder has no mip levels".into());
     }
     if !now.encoder.mipmap || now.encoder.halvings.values().any(|halvings| halvings > 0.0) {
-        return Proposal::Keep("the levels are what the configuration is about".into());
+        return Proposal::Keep("encoder.mipmap = false or encoder.halvings determines the levels".into());
     }
     let aabb = Aabb::<f64>::new(&now.scene);
     let train = facts.train.views.iter().map(|view| &view.camera);
@@ -117,7 +117,7 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
     let above = (highest.ceil().max(0.0) as u32 + 1 + SPARE_LEVELS).min(levels);
     let reach = match lowest.is_finite() {
         true => format!("spheres lie between the levels {lowest:.1} and {highest:.1} of {levels}"),
-        false => format!("spheres lie below level {highest:.1} of {levels}, cameras within the box"),
+        false => format!("spheres lie below level {highest:.1} of {levels}: some cameras are within the box"),
     };
     if below == 0 && above == levels {
         return Proposal::Keep(reach);

@@ -39,16 +39,17 @@ pub(super) fn find(views: &ViewSet, facing: Option<&Facing>) -> Up {
         if over {
             let shown = rounded(-facing.direction);
             let wall = held.map_or_else(String::new, |held| {
-                format!("; if that is a wall, set scene.up=[{}, {}, {}]", held.x, held.y, held.z)
+                format!("; if they face a wall, set scene.up=[{}, {}, {}]", held.x, held.y, held.z)
             });
-            let reason = "up is the side of the cameras, which pass over what they look at";
+            let reason = "up points towards the cameras, which pass over what they look at";
             return because(shown, format!("{reason}{wall}"));
         }
         if facing.distance.is_none() || facing.pictures().is_some_and(|[longer, _]| longer >= OVER) {
-            let taken = if held.is_some() { "taken as the photographs are held" } else { "left as it is" };
+            let taken =
+                if held.is_some() { "is the mean up direction of the cameras" } else { "stays as it is" };
             return because(
                 held,
-                format!("up is not known, and {taken} (scene.up): the cameras look along one direction"),
+                format!("up is not known, because the cameras look along one direction: scene.up {taken}"),
             );
         }
     }
@@ -60,12 +61,12 @@ pub(super) fn find(views: &ViewSet, facing: Option<&Facing>) -> Up {
     let [_, (within, _), (across, normal)] = axes(&places);
     let side = looks.dot(normal);
     if across <= FLAT * within && side.abs() >= SIDED {
-        let reason = "the cameras are held in several ways: up is the side of the plane of their places from which they look down";
+        let reason = "the cameras are held in several ways: up is the normal of the plane of their positions, towards the side from which they look down";
         return because(rounded(-side.signum() * normal), reason.into());
     }
     because(
         None,
-        "up is not known, and left as it is (scene.up): the cameras are held in several ways".into(),
+        "up is not known, because the cameras are held in several ways: scene.up stays as it is".into(),
     )
 }
 

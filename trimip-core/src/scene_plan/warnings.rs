@@ -51,7 +51,7 @@ pub fn warnings(config: &Config, facts: &Facts<'_>) -> Vec<String> {
     match coverage(config, facts.train) {
         Some(_) if config.scene.contraction != Contraction::None => {}
         Some(fraction) if fraction < ENOUGH => warnings.push(format!(
-            "the box covers only {:.0} % of what the photographs show: the rest is taken for the background colour; set \
+            "the box covers only {:.0} % of what the photographs show: the rest is treated as background; set \
              scene.aabb_min and scene.aabb_max around what you want, or mask the rest (alpha)",
             100.0 * fraction
         )),

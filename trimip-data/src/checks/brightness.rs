@@ -53,9 +53,9 @@ fn linear(value: f64) -> f64 {
 /// Checks that nearby photographs are equally bright.
 pub fn brightness(train: &ViewSet) -> Check {
     let limit = format!(
-        "a photograph more than {MOST_STOPS} stops brighter or darker than its {NEIGHBOURS} nearest views, and \
-         {STOPS_PER_RADIAN} more for each radian between them: a camera changes exposure in steps of a third, and light from \
-         a side does the rest"
+        "a photograph that is brighter or darker than its {NEIGHBOURS} nearest views by more than {MOST_STOPS} stops plus \
+         {STOPS_PER_RADIAN} for each radian between them: a camera changes exposure in steps of a third, and light from a side \
+         explains the rest"
     );
     let Some(scale) = coarsest(train, SIDE) else {
         return Check::unknown(NAME, limit, "there is no photograph");

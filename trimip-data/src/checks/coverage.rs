@@ -23,9 +23,9 @@ const NAME: &str = "box around the object";
 
 /// Checks that the box holds the object in the silhouettes. `aabb` is `None` for unbounded space.
 pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
-    let limit = format!("more than {:.0} % of the object in a view beside the box", 100.0 * MOST_CUT);
+    let limit = format!("more than {:.0} % of the object outside the box in a view", 100.0 * MOST_CUT);
     let Some(aabb) = aabb else {
-        return Check::unknown(NAME, limit, "space has no end: nothing is beside the box");
+        return Check::unknown(NAME, limit, "space is unbounded: nothing is outside the box");
     };
     let Some(scale) = coarsest(train, SIDE).filter(|_| silhouettes::any(train)) else {
         return Check::unknown(NAME, limit, "the photographs have no silhouettes");
@@ -59,11 +59,11 @@ pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
     doubted.sort_by(|a, b| b.1.total_cmp(&a.1));
     let mean = 100.0 * known.iter().sum::<f64>() / known.len() as f64;
     let percent = |fraction: f64| format!("{:.1} %", 100.0 * fraction);
-    let all = format!("{mean:.1} % of the object is beside the planned box (mean of the views)");
+    let all = format!("{mean:.1} % of the object is outside the planned box (mean of the views)");
     let (figure, verdict) = match doubted.len() {
         0 => (all, Verdict::Fine),
         some => (
-            format!("{all}; cut in {}", of_views(some, fractions.len())),
+            format!("{all}; the box cuts the object in {}", of_views(some, fractions.len())),
             Verdict::Suspicious(
                 "set scene.aabb_min and scene.aabb_max around the whole object, or leave them to the plan",
             ),

@@ -40,7 +40,7 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
     let named = |view: usize| name(train, view).unwrap_or("?");
     let same_as = |view: usize| (0..view).find(|&other| same(&cameras[view], &cameras[other], extent));
     let suspects: Vec<Suspect> = (0..cameras.len())
-        .filter_map(|view| Some(Suspect { view, figure: format!("as {}", named(same_as(view)?)) }))
+        .filter_map(|view| Some(Suspect { view, figure: format!("same as {}", named(same_as(view)?)) }))
         .collect();
     let leaked: Vec<&str> = test
         .iter()
@@ -55,12 +55,12 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
     };
     if let [first, ..] = leaked[..] {
         figure +=
-            &format!("; {} test frames, the first {first}, have that of a training frame", leaked.len());
+            &format!("; {} test frames, the first {first}, have the pose of a training frame", leaked.len());
     }
     let verdict = match suspects.is_empty() && leaked.is_empty() {
         true => Verdict::Fine,
         false => Verdict::Suspicious(
-            "remove frames that are listed twice; a turntable before a fixed camera needs poses relative to the table",
+            "remove frames that are listed twice; a turntable in front of a fixed camera needs poses relative to the turntable",
         ),
     };
     Check { name: "poses used twice", figure, limit, verdict, suspects, values: Vec::new() }
@@ -83,7 +83,7 @@ pub fn photographs(train: &ViewSet) -> Check {
         }
         match known.get(pixels) {
             Some(&first) => {
-                let figure = format!("as {}", name(train, first).unwrap_or("?"));
+                let figure = format!("same as {}", name(train, first).unwrap_or("?"));
                 suspects.push(Suspect { view, figure });
             }
             None => {

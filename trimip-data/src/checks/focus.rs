@@ -21,8 +21,8 @@ const NAME: &str = "axes of cameras";
 /// evidence: with them, only single views that look away are doubted.
 pub fn focus(train: &ViewSet, points: &[Point]) -> Check {
     let limit = format!(
-        "less than {:.0} % of the cameras look towards the place where their axes meet, or single ones look away where {:.0} % \
-         look there: turned axes have 0 %, a subject all",
+        "less than {:.0} % of the cameras look towards the place where their axes meet, or single cameras look away although {:.0} % \
+         look towards it: with turned axes 0 % do, around a subject all do",
         100.0 * LEAST_AHEAD,
         100.0 * SURROUNDING
     );

@@ -39,8 +39,8 @@ fn observed<'a>(
 pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     const NAME: &str = "reprojection of points";
     let limit = format!(
-        "a median error of a view above {MOST_PIXELS} pixels, or above {MOST_TIMES} times that of all and {NEGLIGIBLE} pixel: \
-         bundle adjustment leaves about one"
+        "a view whose median error is above {MOST_PIXELS} pixels, or above both {MOST_TIMES} times the median of all views and \
+         {NEGLIGIBLE} pixel: bundle adjustment leaves about one pixel"
     );
     let cameras = cameras(train);
     let mut errors: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
@@ -51,7 +51,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     let enough = |errors: Vec<f64>| if errors.len() < LEAST_POINTS { None } else { median(errors) };
     let medians: Vec<Option<f64>> = errors.into_iter().map(enough).collect();
     let Some(middle) = median(medians.iter().copied().flatten()) else {
-        return Check::unknown(NAME, limit, "no points with the views that saw them");
+        return Check::unknown(NAME, limit, "no points that list the views that saw them");
     };
     let most = MOST_PIXELS.min((MOST_TIMES * middle).max(NEGLIGIBLE));
     let mut doubted: Vec<(usize, f64)> = medians
@@ -73,7 +73,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
         some => (
             format!("{of_all}; more than {most:.1} pixels in {}", of_views(some, cameras.len())),
             Verdict::Suspicious(
-                "these poses or focal lengths are not those of the photographs: calibrate again, or leave the views out",
+                "these poses or focal lengths do not match the photographs: calibrate again, or leave the views out",
             ),
         ),
     };
@@ -88,7 +88,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
 pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     const NAME: &str = "points in front of cameras";
     let limit = format!(
-        "less than {:.0} % in front of the cameras that saw them: rightly it is all",
+        "less than {:.0} % of the points in front of the cameras that saw them: with right poses all are",
         100.0 * LEAST_AHEAD
     );
     let cameras = cameras(train);
@@ -103,7 +103,7 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     let [front, all] =
         counts.iter().fold([0_u64; 2], |sum, count| [0, 1].map(|i| sum[i] + u64::from(count[i])));
     if all == 0 {
-        return Check::unknown(NAME, limit, "no points with the views that saw them");
+        return Check::unknown(NAME, limit, "no points that list the views that saw them");
     }
     let fractions: Vec<Option<f64>> =
         counts.iter().map(|&[front, all]| (all > 0).then(|| f64::from(front) / f64::from(all))).collect();
@@ -118,14 +118,14 @@ pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     let verdict = match fraction < LEAST_AHEAD || !doubted.is_empty() {
         true => Verdict::Suspicious(
             "cameras look the wrong way: poses are camera-to-world with OpenGL axes (x right, y up, looking along -z); \
-             OpenCV's need the signs of the second and third column changed",
+             for OpenCV's axes, change the signs of the second and third column",
         ),
         false => Verdict::Fine,
     };
     Check {
         name: NAME,
         figure: format!(
-            "{:.1} % of {all} sightings of points are in front of their camera",
+            "{:.1} % of {all} observations have their point in front of the camera",
             100.0 * fraction
         ),
         limit,

@@ -23,7 +23,7 @@ const MOST_SHIFT: f64 = 0.25;
 /// Checks that there are enough photographs.
 pub fn number(train: &ViewSet) -> Check {
     const NAME: &str = "number of photographs";
-    let limit = format!("fewer than {FEWEST}: places that only one of them shows have no depth");
+    let limit = format!("fewer than {FEWEST}: places that only one photograph shows have no depth");
     let views = cameras(train).len();
     let verdict = match views {
         0 => return Check::unknown(NAME, limit, "there is no photograph"),
@@ -46,12 +46,13 @@ pub fn number(train: &ViewSet) -> Check {
 pub fn stray(train: &ViewSet) -> Check {
     let cameras = cameras(train);
     let strays = strays(&cameras).into_iter();
-    let suspects: Vec<Suspect> =
-        strays.map(|(view, times)| Suspect { view, figure: format!("{times:.0} times as far") }).collect();
+    let suspects: Vec<Suspect> = strays
+        .map(|(view, times)| Suspect { view, figure: format!("{times:.0} times the median distance") })
+        .collect();
     Check {
         name: "cameras far from the others",
         figure: of_views(suspects.len(), cameras.len()),
-        limit: format!("{STRAY} times as far from the middle of all as half of them"),
+        limit: format!("more than {STRAY} times the median distance from the middle of all cameras"),
         verdict: match suspects.is_empty() {
             true => Verdict::Fine,
             false => Verdict::Suspicious(
@@ -106,7 +107,7 @@ pub fn optics(train: &ViewSet) -> Check {
         verdict: match suspects.is_empty() {
             true => Verdict::Fine,
             false => Verdict::Suspicious(
-                "focal lengths and principal points are in pixels of the photographs as they are, angles in radians: calibrate \
+                "focal lengths and principal points have to be in pixels of the photographs as stored, angles in radians: calibrate \
                  again, or correct them",
             ),
         },

@@ -155,8 +155,8 @@ fn dissent(seeing: usize) -> usize {
 pub fn silhouettes(train: &ViewSet) -> Check {
     let limit = format!(
         "a median overlap (intersection over union) below {LEAST_MEDIAN} or a median coverage below \
-         {LEAST_MEDIAN_COVERED}: right poses have above 0.9 of both; a view below {LEAST_SHARE} of the median overlap that the \
-         hull covers less than usual, or one with less than {LEAST_COVERED} of the median coverage"
+         {LEAST_MEDIAN_COVERED}: right poses have above 0.9 of both; a view whose overlap is below {LEAST_SHARE} of \
+         the median and that the hull covers less than usual, or one with less than {LEAST_COVERED} of the median coverage"
     );
     let Some(scale) = coarsest(train, SIDE).filter(|_| train.alpha.is_opacity()) else {
         return Check::unknown(NAME, limit, "the photographs have no silhouettes");
@@ -203,11 +203,11 @@ pub fn silhouettes(train: &ViewSet) -> Check {
             "the poses do not belong to these photographs: compare the order of names and poses, and the axes (OpenGL: x \
              right, y up, looking along -z)",
         ),
-        (false, false) => Verdict::Suspicious("look at these views: a wrong pose, or a wrong mask"),
+        (false, false) => Verdict::Suspicious("look at these views: each has a wrong pose or a wrong mask"),
         (false, true) => Verdict::Fine,
     };
     let all_views = format!(
-        "what the photographs show overlaps with their visual hull by {middle:.2}, which covers {:.0} % of it (medians)",
+        "the silhouettes overlap with their visual hull by {middle:.2}, and the hull covers {:.0} % of them (medians)",
         100.0 * usual
     );
     let figure = match doubted.len() {

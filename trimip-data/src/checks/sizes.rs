@@ -18,8 +18,8 @@ const MOST_FOCAL: f64 = 1.5;
 pub fn sizes(train: &ViewSet) -> Check {
     const NAME: &str = "sizes and focal lengths";
     let limit = format!(
-        "a side more than {MOST_SIZE} times, or a focal length as a share of it more than {MOST_FOCAL} times, above or below \
-         the median: a thumbnail, a crop or a zoom"
+        "a side that differs from the median by more than a factor of {MOST_SIZE}, or a focal length as a share of the side by more \
+         than {MOST_FOCAL}: a thumbnail, a crop or a zoom"
     );
     let cameras = cameras(train);
     let side = |camera: &Camera| {
@@ -50,12 +50,12 @@ pub fn sizes(train: &ViewSet) -> Check {
     };
     let ([small, large], [wide, long]) = (range(&side, usual_side), range(&focal, usual_focal));
     let all = format!(
-        "sides are {small:.2} to {large:.2} times the median, focal lengths as shares of them {wide:.2} to {long:.2} times"
+        "sides are {small:.2} to {large:.2} times the median, focal lengths as shares of the sides {wide:.2} to {long:.2} times"
     );
     let (figure, verdict) = match doubted.len() {
         0 => (all, Verdict::Fine),
         some => (
-            format!("{all}; apart from the others: {}", of_views(some, cameras.len())),
+            format!("{all}; unlike the others: {}", of_views(some, cameras.len())),
             Verdict::Suspicious(
                 "a crop or a copy in another size needs its own focal length; leave out zoomed shots that were calibrated as \
                  one camera",

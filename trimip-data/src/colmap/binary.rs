@@ -157,7 +157,7 @@ impl<'a> Rest<'a> {
         fits.ok_or_else(|| {
             self.at -= 8;
             self.wrong(format!(
-                "{count} {of} are more than the {} bytes after it can hold",
+                "{count} {of} do not fit into the {} bytes that follow",
                 self.left().len() - 8
             ))
         })

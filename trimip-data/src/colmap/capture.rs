@@ -53,7 +53,7 @@ impl Capture {
         let mut model = Model::read(&found.folder)?;
         let file = locate::images_file(&found.folder);
         if model.images.is_empty() {
-            let advice = "COLMAP placed no photograph: take more of them, with more overlap";
+            let advice = "take more photographs with more overlap: COLMAP placed none";
             return Err(Error::input(file.display(), "holds no image", advice));
         }
         let mut warnings: Vec<String> = found.warning.into_iter().collect();
@@ -197,8 +197,9 @@ fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
         names.iter().filter_map(|name| folder.join(name).parent().map(Path::to_path_buf)).collect();
     let entries = parents.iter().flat_map(|parent| parent.read_dir().into_iter().flatten().flatten());
     let pictures = entries.filter(|entry| names::is_picture(&entry.path())).count();
-    (pictures > names.len())
-        .then(|| format!("COLMAP placed {} of {pictures} photographs in {}", names.len(), folder.display()))
+    (pictures > names.len()).then(|| {
+        format!("COLMAP placed {} of the {pictures} photographs in {}", names.len(), folder.display())
+    })
 }
 
 /// Scales the cameras of frames to the size of their photographs. Returns the pixels of the photograph per pixel of the

@@ -100,11 +100,11 @@ pub(super) fn model(root: &Path) -> Result<Found> {
     let counts: Vec<String> = models
         .iter()
         .map(|(folder, images)| {
-            format!("{} of {images}", folder.file_name().unwrap_or_default().to_string_lossy())
+            format!("{} with {images}", folder.file_name().unwrap_or_default().to_string_lossy())
         })
         .collect();
     let warning = format!(
-        "{} holds {} models, with images in number: {}; {} is read",
+        "{} holds {} models: {} images; {} is read",
         parent.display(),
         models.len(),
         counts.join(", "),

@@ -54,7 +54,7 @@ impl Model {
         let broken = |place: &str, entry: String, what: String| {
             Err(Error::input(format!("{place}: {entry}"), what, "export the model again"))
         };
-        let twice = || "is there twice".to_string();
+        let twice = || "is listed twice".to_string();
         let known = sorted(self.cameras.iter().map(|camera| camera.id));
         if let Some(id) = double(&known) {
             return broken(cameras, format!("camera {id}"), twice());
@@ -84,7 +84,7 @@ impl Model {
                 let places = self.images[order[at]].places.len();
                 // Some programs drop the features but keep the tracks.
                 if places > 0 && *feature as usize >= places {
-                    let what = format!("is feature {feature} of image {image}, which has {places}");
+                    let what = format!("names feature {feature} of image {image}, which has {places}");
                     return broken(points, format!("point {}", point.id), what);
                 }
             }

@@ -198,7 +198,7 @@ impl<'a> Line<'a> {
         if value.is_finite() {
             return Ok(value);
         }
-        Err(self.wrong(format!("{value} as {expected} is not a finite number"), "export the model again"))
+        Err(self.wrong(format!("{expected} is {value}, not a finite number"), "export the model again"))
     }
 
     /// A number of pixels; some exporters write 1920.0.

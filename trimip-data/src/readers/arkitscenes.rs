@@ -107,7 +107,7 @@ fn poses(path: &Path, lines: Vec<Vec<f64>>) -> Result<Vec<Line>> {
         line.try_into().map_err(|_| {
             Error::input(
                 format!("{}: pose {index}", path.display()),
-                format!("is {found} instead of 7"),
+                format!("has {found} instead of 7"),
                 ADVICE,
             )
         })
@@ -141,8 +141,8 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
     let name = names::stem(&photograph.file_name().unwrap_or_default().to_string_lossy());
     let parts = name.rsplit_once('_').and_then(|(video, time)| Some((video, numbers::number(time).ok()?)));
     let Some((video, time)) = parts else {
-        let what = "is not called by video and time, as 41069021_305.377.png";
-        return Err(Error::input(place, what, "give it its name again"));
+        let what = "is not named by video and time, as in 41069021_305.377.png";
+        return Err(Error::input(place, what, "restore its original name"));
     };
     let Some(line) = near(poses, time) else { return Ok(None) };
     let (rotation, origin) = placed(line).ok_or_else(|| not_finite(&place))?;

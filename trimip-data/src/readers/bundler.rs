@@ -61,7 +61,7 @@ fn list(root: &Path, bundle: &Path) -> Result<Vec<String>> {
         return Err(Error::input(
             bundle.display(),
             what,
-            "copy it beside the file: a photograph a line, in order of the cameras",
+            "copy the list next to the file: one photograph per line, in the order of the cameras",
         ));
     };
     let text = text::read(&path, "check the path and its permissions")?;
@@ -137,7 +137,7 @@ impl Bundle {
             found.push(Point { position, color, error: None, seen: Some(seen), track: Vec::new() });
         }
         let warnings = (unplaced > 0)
-            .then(|| format!("{name} placed {} of {}", frames.len(), count(cameras, "photograph")))
+            .then(|| format!("{name} has cameras of {} of {}", frames.len(), count(cameras, "photograph")))
             .into_iter()
             .collect();
         Ok(Self {

@@ -136,8 +136,7 @@ impl Capture {
                 shown(photographs.first()).display(),
                 shown(photographs.last()).display()
             );
-            let advice =
-                "keep exactly the photographs it was made from there, or name their folder in data.images";
+            let advice = "keep exactly the photographs that the file was made from, or name their folder in data.images";
             return Err(Error::input(&name, what, advice));
         }
         let files: Vec<String> = photographs.iter().map(|path| path.display().to_string()).collect();
@@ -146,7 +145,7 @@ impl Capture {
         let near = rows.iter().map(|row| row[15]).fold(f64::INFINITY, f64::min);
         let far = rows.iter().map(|row| row[16]).fold(0.0, f64::max);
         let note = (near > 0.0 && near < far)
-            .then(|| format!("{FILE} bounds the depth of the scene by {near:.3} and {far:.3} of its units"));
+            .then(|| format!("{FILE} states depths of the scene from {near:.3} to {far:.3} of its units"));
         let (poses, names) = (poses.collect::<Result<_>>()?, names::unique(&files));
         Ok(Self { poses, names, photographs, scales: config.scales, note, path })
     }
@@ -165,7 +164,7 @@ impl Capture {
         });
         warnings.extend(scaled.next().map(|by| {
             format!(
-                "the photographs are {by:.4} times as wide as {FILE} states: focal lengths are scaled along"
+                "the photographs are {by:.4} times as wide as {FILE} states: focal lengths are scaled to match"
             )
         }));
         let divided = selection.note(&self.path, "in order of their names");

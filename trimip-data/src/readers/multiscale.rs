@@ -66,7 +66,7 @@ impl Metadata {
         if config.convention == Convention::Premultiplied {
             return Err(Error::input(
                 "data.convention",
-                "\"premultiplied\" cannot be had from a multi-scale set, whose levels are straight means",
+                "\"premultiplied\" is not possible for a multi-scale set, whose levels are straight means",
                 "set it to \"public\", or data.root to the scene the set was made from",
             ));
         }
@@ -102,7 +102,7 @@ impl OpenScene for Metadata {
         if wanted.is_empty() {
             return Err(Error::input(
                 &table.node.place,
-                format!("has no image among its {} at the first {scales} scales", levels.len()),
+                format!("none of its {} images is at the first {scales} scales", levels.len()),
                 "raise data.scales or export the set again",
             ));
         }
@@ -159,7 +159,7 @@ impl<'a> Table<'a> {
             if length != paths.len() {
                 return Err(Error::input(
                     &node.place,
-                    format!("\"{key}\" has {length} entries, \"file_path\" has {}", paths.len()),
+                    format!("\"{key}\" has {length} entries, but \"file_path\" has {}", paths.len()),
                     "export the set again",
                 ));
             }
@@ -270,7 +270,7 @@ impl<'a> Table<'a> {
                 return Err(wrong("is not the inverse of a pinhole projection".into()));
             }
             if (found[0] - fx).abs() > PIXEL_TOLERANCE * fx {
-                return Err(wrong(format!("has the focal length {:.2}, \"focal\" is {fx:.2}", found[0])));
+                return Err(wrong(format!("has the focal length {:.2}, but \"focal\" is {fx:.2}", found[0])));
             }
             // pix2cam is used only where it differs from `focal` and the size by more than rounding.
             let differing = |plain: f64, found: f64| {
@@ -304,7 +304,7 @@ fn frames(place: &Place, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
     if counts.iter().any(|count| *count != counts[0]) {
         return Err(Error::input(
             place,
-            format!("its scales have {counts:?} images"),
+            format!("its scales have different numbers of images: {counts:?}"),
             "expected every frame at every scale: export the set again",
         ));
     }

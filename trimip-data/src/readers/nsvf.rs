@@ -126,13 +126,13 @@ fn bounds(path: &Path) -> Result<Option<StatedBox>> {
     }
     let all = numbers::lines(path, ADVICE)?.concat();
     let Some(&[x, y, z, to_x, to_y, to_z]) = all.first_chunk() else {
-        return Err(Error::input(path.display(), "holds no two corners", ADVICE));
+        return Err(Error::input(path.display(), "does not hold two corners", ADVICE));
     };
     let aabb = Aabb { min: [x, y, z], max: [to_x, to_y, to_z] };
     if (0..3).any(|axis| aabb.min[axis] >= aabb.max[axis]) {
         return Err(Error::input(
             path.display(),
-            format!("states the corners {:?} and {:?}", aabb.min, aabb.max),
+            format!("states the corners {:?} and {:?}, which enclose no box", aabb.min, aabb.max),
             ADVICE,
         ));
     }

@@ -121,7 +121,7 @@ impl Reconstruction {
             .then(|| {
                 let kept = count(shots(best), "shot");
                 format!(
-                    "{} holds {} reconstructions: that with the most shots is read, {kept}",
+                    "{} holds {} reconstructions: the one with the most shots is read ({kept})",
                     path.display(),
                     all.len()
                 )

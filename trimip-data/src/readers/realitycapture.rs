@@ -48,8 +48,8 @@ pub(super) static READER: Reader = Reader {
     open: |root, config| {
         let paths = paths(root);
         if let [first, second, ..] = &paths[..] {
-            let what = format!("and {} are camera parameters both", second.display());
-            return Err(Error::input(first.display(), what, "leave one of them in the folder"));
+            let what = format!("holds camera parameters, and so does {}", second.display());
+            return Err(Error::input(first.display(), what, "keep only one of them in the folder"));
         }
         let path = paths.into_iter().next().unwrap_or_else(|| root.join(FILE));
         let frames = frames(&path.display().to_string(), &files::read(&path)?)?;
@@ -120,7 +120,7 @@ fn frames(name: &str, bytes: &[u8]) -> Result<Vec<Frame>> {
     let text = String::from_utf8_lossy(&decoded(bytes)).into_owned();
     let mut lines = text.lines().enumerate();
     let columns = lines.find_map(|(_, line)| Columns::of(line)).ok_or_else(|| {
-        let what = format!("names no columns {}", NEEDED.join(", "));
+        let what = format!("has no line that names the columns {}", NEEDED.join(", "));
         Error::input(name, what, ADVICE)
     })?;
     let is_camera = |line: &str| !(line.trim().is_empty() || line.starts_with('#'));
@@ -136,7 +136,7 @@ fn frame(name: &str, index: usize, line: &str, columns: &Columns) -> Result<Fram
     let wrong = |what: String| Error::input(&place, what, ADVICE);
     let cells: Vec<&str> = line.split(columns.separator).map(|cell| cell.trim().trim_matches('"')).collect();
     if cells.len() != columns.count {
-        return Err(wrong(format!("has {} columns, and the file names {}", cells.len(), columns.count)));
+        return Err(wrong(format!("has {} columns, but the header names {}", cells.len(), columns.count)));
     }
     let read = |column: &str, at: usize| number(cells[at]).map_err(|what| wrong(format!("{column}: {what}")));
     let mut needed = [0.0; 7];
@@ -161,7 +161,7 @@ fn frame(name: &str, index: usize, line: &str, columns: &Columns) -> Result<Fram
     }
     // A fit of Brown's model has more terms than one.
     if k1 != 0.0 && [k2, k3, k4, t1, t2] == [0.0; 5] {
-        let what = "k1: alone it is that of the division model, which is not read";
+        let what = "k1: a single coefficient is that of the division model, which is not read";
         let advice =
             "align with the distortion model Brown3 and export again, or export undistorted photographs";
         return Err(Error::input(&place, what, advice));

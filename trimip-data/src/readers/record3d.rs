@@ -90,7 +90,7 @@ fn frames(path: &Path, document: &Value) -> Result<Vec<Frame>> {
     };
     if !own.is_empty() && own.len() != poses.len() {
         let what = format!(
-            "has {} and the intrinsics of {}",
+            "has {}, but the intrinsics of {}",
             count(poses.len(), "pose"),
             count(own.len(), "photograph")
         );

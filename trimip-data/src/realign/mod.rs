@@ -136,7 +136,7 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
         model.separate(&moved);
         model.shift(&moved, &similarity);
         told.push(format!(
-            "{} of {frames} photographs stood apart from the others: {} of {} matches between {} and {} agree that these are {:.2} units apart, \
+            "{} of {frames} photographs were detached from the others: {} of {} matches between {} and {} agree that these two are {:.2} units apart, \
              not {distance:.2}",
             moved.iter().filter(|is_moved| **is_moved).count(),
             jump.agreed[0],
@@ -174,12 +174,12 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
     let [all, of_joined] = model.adjust(&joined, usual);
     if all > ADJUSTED[0] * usual || of_joined > ADJUSTED[1] * usual {
         let warning = format!(
-            "{told}. Aligned, they do not fit together ({of_joined:.2} pixels of error instead of {usual:.2}): {advice}"
+            "{told}. The aligned parts do not fit together ({of_joined:.2} pixels of error instead of {usual:.2}): {advice}"
         );
         return Ok(Some(Torn { aligned: None, warning }));
     }
     let warning = format!(
-        "{told}. They are aligned, and all cameras adjusted ({} joined; median reprojection error {all:.2} instead of {usual:.2} pixels); \
+        "{told}. The parts are aligned and all cameras adjusted ({} joined; median reprojection error {all:.2} instead of {usual:.2} pixels); \
          data.realign = false keeps the model as it is",
         count(joined.len(), "point"),
     );

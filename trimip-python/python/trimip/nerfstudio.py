@@ -94,7 +94,7 @@ def camera_path(path: str | os.PathLike[str], world: World | None = None) -> lis
     data = _read(path)
     kind = data.get("camera_type", "perspective")
     if kind != "perspective":
-        raise InputError(f"{os.fspath(path)}: a path of {kind} cameras; save it with perspective ones")
+        raise InputError(f"{os.fspath(path)}: has {kind} cameras; save the path with perspective cameras")
     try:
         width, height = int(data["render_width"]), int(data["render_height"])
         frames = data["camera_path"]

@@ -63,7 +63,7 @@ fn every(seen: &Inspection) -> String {
     };
     format!(
         "<section><h2>All checks</h2><div class=\"scroll\"><table><tr><th>check</th><th>conclusion</th><th>found</th>\
-         <th>suspicious would be</th></tr>{}</table></div></section>\n",
+         <th>suspicious if</th></tr>{}</table></div></section>\n",
         seen.checks.iter().map(row).collect::<String>()
     )
 }

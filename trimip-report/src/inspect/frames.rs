@@ -47,8 +47,8 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Resul
     };
     let figures = shown.iter().map(figure).collect::<Result<Vec<String>>>()?.concat();
     let board = match seen.seen.scene.train.alpha {
-        Alpha::Kept => "What masks leave out is a red checkerboard.",
-        Alpha::Straight | Alpha::Premultiplied => "Transparent pixels are a grey checkerboard.",
+        Alpha::Kept => "Masked pixels show a red checkerboard.",
+        Alpha::Straight | Alpha::Premultiplied => "Transparent pixels show a grey checkerboard.",
     };
     Ok(format!(
         "<section><h2>Frames</h2><p class=\"lead\">{} of {all} frames, evenly spread; suspicious ones are added. {board} \
@@ -86,7 +86,7 @@ fn thumbnail(
 ) -> Result<String> {
     let k = &camera.intrinsics;
     let brightness = stops(set.pixels_of(index), set.alpha)
-        .map_or("nothing is kept".into(), |stops| format!("{stops:.2} stops"));
+        .map_or("no pixel is kept".into(), |stops| format!("{stops:.2} stops"));
     let focal = match (k.fx - k.fy).abs() < 1e-3 * k.fx {
         true => format!("{:.0}", k.fx),
         false => format!("{:.0}×{:.0}", k.fx, k.fy),

@@ -59,17 +59,17 @@ fn head(seen: &Inspection) -> String {
         seen.checks.iter().filter(|check| matches!(check.verdict, Verdict::Suspicious(_))).count();
     let (class, verdict) = match suspicious {
         0 => ("good", "nothing suspicious".to_string()),
-        some => ("doubtful", formatting::count(some as u64, "suspicious thing")),
+        some => ("doubtful", formatting::count(some as u64, "suspicious check")),
     };
     let alpha = match scene.train.alpha {
-        Alpha::Straight => "opacity, beside straight colours",
-        Alpha::Premultiplied => "opacity, colours multiplied by it",
+        Alpha::Straight => "opacity, with straight colours",
+        Alpha::Premultiplied => "opacity, with premultiplied colours",
         Alpha::Kept => "the share of a pixel that masks keep: the rest is neither trained nor measured",
     };
     let tiles = [
         (finest.len().to_string(), "training views"),
         (seen.seen.scene.test_views.len().to_string(), "test views"),
-        (size.map_or("none".into(), |k| format!("{}×{}", k.width, k.height)), "pixels of the first"),
+        (size.map_or("none".into(), |k| format!("{}×{}", k.width, k.height)), "pixels of the first view"),
         (scene.train.scales.len().to_string(), "scales"),
         (formatting::bytes(scene.train.bytes() as u64), "training pixels in memory"),
         (scene.points.len().to_string(), "points"),
@@ -98,12 +98,10 @@ fn left_out(seen: &Inspection) -> String {
     let warnings = seen.seen.scene.warnings.iter().chain(&seen.warnings);
     let items: String = warnings.map(|warning| format!("<li>{}</li>", escape(warning))).collect();
     let content = match items.is_empty() {
-        true => {
-            "<p>Every frame, photograph and pixel is used, and the readers warn of nothing.</p>".to_string()
-        }
+        true => "<p>Every frame, photograph and pixel is used, and there are no warnings.</p>".to_string(),
         false => format!("<ul class=\"warnings\">{items}</ul>"),
     };
-    format!("<section><h2>Left out, and warnings</h2>{content}</section>\n")
+    format!("<section><h2>Warnings and data left out</h2>{content}</section>\n")
 }
 
 #[cfg(test)]

@@ -100,7 +100,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
     };
     let bounds = match seen.space.ball() {
         Some(ball) => {
-            format!("The ball of radius {} keeps its shape; all beyond is contracted.", number(ball.radius))
+            format!("Space is contracted outside the ball of radius {}.", number(ball.radius))
         }
         None => {
             let sides = seen.space.aabb().extent().map(number);
@@ -109,7 +109,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
     };
     let from = match scene.origin.is_zero() {
         true => String::new(),
-        false => format!(", counted from {} of the photographs' coordinates", scene.origin),
+        false => format!(", relative to {} in the photographs' coordinates", scene.origin),
     };
     let points = match scene.points.len() {
         0 => "",

@@ -78,9 +78,9 @@ pub fn section(comparison: &Comparison, scales: Scales) -> Result<String> {
         return Ok(html);
     }
     Ok(format!(
-        "<section class=\"wide\"><h2>The same places, {}</h2><p class=\"lead\">Where the photograph has the most detail. Below each \
-         rendering the PSNR of its whole view at that scale, and the error as the mean absolute difference of red, green and blue. \
-         The first seed of each system.</p><div class=\"short-bar\">{}</div>{html}</section>\n",
+        "<section class=\"wide\"><h2>The same places, {}</h2><p class=\"lead\">Crops where the photograph has the most detail, from the first \
+         seed of each system. Below each rendering: the PSNR of its whole view at that scale, and the error as the mean absolute \
+         difference of red, green and blue.</p><div class=\"short-bar\">{}</div>{html}</section>\n",
         scales.title().to_lowercase(),
         difference::bar()
     ))
@@ -165,7 +165,7 @@ fn whereabouts(photograph: &RgbImage, place: Crop) -> Result<String> {
     let small = imageops::thumbnail(photograph, side(width), side(height));
     Ok(format!(
         "<div class=\"frame-of\">{}<b style=\"left:{:.2}%;top:{:.2}%;width:{:.2}%;height:{:.2}%\"></b></div>",
-        pictures::thumbnail(&small, "where the crops are")?,
+        pictures::thumbnail(&small, "position of the crops")?,
         fraction(place.x, width),
         fraction(place.y, height),
         fraction(place.width, width),

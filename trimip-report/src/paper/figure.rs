@@ -20,13 +20,13 @@ pub fn curves(comparison: &Comparison, scales: Scales) -> String {
     let whole = lines.iter().all(|line| line.class.contains("mean"));
     let note = match (comparison.scenes.len(), whole) {
         (1, true) => {
-            "One line for each system, the mean of its seeds, on about four test views; the rings at the end are on all measured views."
+            "Each line is one system: the mean of its seeds, on about four test views. The rings at the end are on all measured views."
         }
         (_, true) => {
-            "One line for each system, the mean of its seeds and scenes, on about four test views of each scene; the rings at the end are on all measured views."
+            "Each line is one system: the mean of its seeds and scenes, on about four test views of each scene. The rings at the end are on all measured views."
         }
         _ => {
-            "One line for each system, or for each of its runs while not all are measured, on about four test views of each scene; the rings at the end are on all measured views."
+            "Each line is one system, or one run of a system whose runs are not all measured yet, on about four test views of each scene. The rings at the end are on all measured views."
         }
     };
     page::plot(&format!("Quality against time, {}", scales.title().to_lowercase()), &lines, note)
@@ -140,8 +140,8 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
         if apart { "" } else { " All systems were trained for the same time here: see the curves above." };
     format!(
         "<section><h2>Quality against size and time, {}</h2><div class=\"panels\">{panels}</div><p class=\"lead\">Dots were measured here, on {here}; rings are \
-         what the papers state for the eight Blender scenes, with their splits and backgrounds, on GPUs. Better is higher and \
-         further to the left.{equal}</p></section>\n",
+         the papers’ figures for the eight Blender scenes, with their own splits and backgrounds, on GPUs. Higher and further \
+         left is better.{equal}</p></section>\n",
         scales.title().to_lowercase()
     )
 }

@@ -30,7 +30,7 @@ pub fn page(comparison: &Comparison) -> Result<String> {
     }
     content.extend(all.iter().map(|&scales| tables::published(scales)));
     content.extend([remarks(), measure(comparison), systems(comparison)]);
-    Ok(page::whole("Systems beside each other – Tri-MipRF", &content.concat()))
+    Ok(page::whole("Systems side by side – Tri-MipRF", &content.concat()))
 }
 
 fn head(comparison: &Comparison) -> String {
@@ -42,7 +42,7 @@ fn head(comparison: &Comparison) -> String {
     let done = figures().count();
     let mut tiles = vec![
         (format!("{done} of {}", comparison.runs.len()), "runs measured".to_string()),
-        (formatting::duration(figures().map(|figures| figures.seconds).sum()), "training in all".into()),
+        (formatting::duration(figures().map(|figures| figures.seconds).sum()), "training in total".into()),
     ];
     let best = comparison.scales.first().and_then(|&scales| {
         let rows = headline(comparison, scales).into_iter();
@@ -71,7 +71,7 @@ fn head(comparison: &Comparison) -> String {
         ),
     ];
     if !comparison.missing.is_empty() {
-        rows.insert(1, ("not there", comparison.missing.join(", ")));
+        rows.insert(1, ("missing scenes", comparison.missing.join(", ")));
     }
     rows.extend(comparison.command.iter().map(|command| ("command", command.clone())));
     rows.push(("version", format!("trimip-cli {}", machine::version())));
@@ -100,9 +100,9 @@ fn state(comparison: &Comparison) -> String {
     let open = comparison.open();
     if open > 0 {
         let stopped = comparison.runs.iter().filter(|run| run.status == Status::Stopped).count();
-        let stopped = if stopped > 0 { format!(", {stopped} of them begun") } else { String::new() };
+        let stopped = if stopped > 0 { format!(", {stopped} of them started") } else { String::new() };
         items += &format!(
-            "<li><b class=\"badge doubtful\">open</b> {} to go{stopped}; the same command goes on.</li>",
+            "<li><b class=\"badge doubtful\">open</b> {} to go{stopped}; the same command continues.</li>",
             formatting::count(open as u64, "run")
         );
     }
@@ -114,9 +114,7 @@ fn state(comparison: &Comparison) -> String {
 
 fn remarks() -> String {
     let items: String = REMARKS.iter().map(|remark| format!("<li>{}</li>", escape(remark))).collect();
-    format!(
-        "<section><h2>What has to be known of published figures</h2><ul class=\"remarks\">{items}</ul></section>\n"
-    )
+    format!("<section><h2>Notes on the published figures</h2><ul class=\"remarks\">{items}</ul></section>\n")
 }
 
 /// Views, background and convention of the measurements made here.
@@ -156,10 +154,10 @@ fn measure(comparison: &Comparison) -> String {
     ];
     format!(
         "<section><h2>How it was measured here</h2>{}<p>PSNR is −10·log<sub>10</sub> of the mean squared error of one image, \
-         unrounded, in the photographs’ own sRGB values. A scale’s figure is the mean over its images, “mean” that of the scales; \
-         seeds are averaged within a scene, then scenes. “plain” is without the edge exponents of the set, which the scene plan \
-         fits to the training photographs of <i>tri-mip</i> alone: published figures are plain. Size is that of the model file, \
-         its occupancy grid included; peak memory that of the process from the run’s beginning, decoded photographs included. \
+         unrounded, in the photographs’ own sRGB values. A scale’s figure is the mean over its images, and “mean” is the mean over \
+         the scales; seeds are averaged within a scene, then scenes. “plain” leaves out the edge exponents of the set, which the scene \
+         plan fits to the training photographs, for <i>tri-mip</i> alone: published figures are plain. The size is that of the model \
+         file with its occupancy grid; the peak memory is that of the process since the start of the run, with the decoded photographs. \
          Curves are measured on about four test views.</p></section>\n",
         pairs(&rows)
     )
@@ -170,7 +168,7 @@ fn systems(comparison: &Comparison) -> String {
     let mut html = String::new();
     for system in &comparison.systems {
         html += &format!(
-            "<details><summary>{} <code>{}</code> <span class=\"tag\">{}</span></summary><p>What differs from the published \
+            "<details><summary>{} <code>{}</code> <span class=\"tag\">{}</span></summary><p>Differences from the published \
              system: {}.</p><pre>{}</pre></details>",
             escape(system.title),
             system.name,

@@ -27,8 +27,8 @@ pub fn measured(comparison: &Comparison, scales: Scales) -> String {
     }
     format!(
         "<section class=\"wide\"><h2>{}, measured here</h2>{html}<p class=\"lead\">PSNR in dB. “plain” is the mean without the edge \
-         exponents of the set, as published figures are. “published” is what the papers have in this place, with their splits, \
-         backgrounds and machines.</p></section>\n",
+         exponents of the set, like the published figures. “published” is the papers’ figure, with their own splits, backgrounds and \
+         machines.</p></section>\n",
         scales.title()
     )
 }

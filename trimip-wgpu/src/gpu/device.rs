@@ -100,7 +100,7 @@ impl Gpu {
         let (device, queue) = adapter
             .request_device(&descriptor)
             .await
-            .map_err(|error| Error::device(format!("`{}` opens no device: {error}", info.name)))?;
+            .map_err(|error| Error::device(format!("cannot open a device on `{}`: {error}", info.name)))?;
         let failure = Arc::new(Mutex::new(None));
         let note = |failure: &Arc<Mutex<Option<String>>>| {
             let failure = Arc::clone(failure);
@@ -266,7 +266,7 @@ impl Gpu {
         let at = |counter: &AtomicU64| mebibytes(counter.load(Ordering::Relaxed));
         Err(Error::device(format!(
             "{} failed in {stage}: {message}; {} MiB were in use, the largest buffer had {} MiB and may have {} MiB; if \
-             memory was short lower train.samples_per_step or field.hidden, else renew the driver or use backend = \"cpu\"",
+             memory was short, lower train.samples_per_step or field.hidden, otherwise update the driver or use backend = \"cpu\"",
             self.name(),
             at(&self.counters.held),
             at(&self.counters.largest),

@@ -132,7 +132,11 @@ pub fn extract(
         && !(error > 0.0 && error <= 1.0)
     {
         let found = format!("a simplification error of {error}");
-        return Err(Error::input(found, "out of range", "choose a share of the largest side, above 0 to 1"));
+        return Err(Error::input(
+            found,
+            "out of range",
+            "choose a share of the longest side, above 0 and at most 1",
+        ));
     }
     let field = Occupied::new(model, what.crop)?;
     let (grid, level_f32) = (around(&field.aabb, what.resolution), level as f32);

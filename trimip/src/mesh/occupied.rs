@@ -37,7 +37,7 @@ impl Occupied {
             (Some(bounds), Some(_)) => bounds,
             (Some(bounds), None) => common(&bounds, &subject).ok_or_else(|| {
                 let what =
-                    format!("lies beside the scene's box, {:?} to {:?}", scene.aabb_min, scene.aabb_max);
+                    format!("lies outside the scene's box, {:?} to {:?}", scene.aabb_min, scene.aabb_max);
                 Error::input(format!("crop {crop}"), what, "choose a part of this box, or none")
             })?,
         };

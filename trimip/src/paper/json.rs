@@ -41,8 +41,8 @@ pub fn json(comparison: &Comparison) -> Result<String> {
         "systems": systems.collect::<Vec<_>>(),
         "measure": {
             "psnr": "-10 log10(mean squared error) per image, mean over images, then over scales, seeds and scenes; unrounded sRGB values",
-            "plain": "the same without the set's edge exponents (data.edge_exponents), as published figures are",
-            "published": "of another machine, and often another split and background; see published",
+            "plain": "psnr without the set's edge exponents (data.edge_exponents), like the published figures",
+            "published": "figures of another machine, and often of another split and background; see published",
         },
         "tables": tables.collect::<Vec<_>>(),
         "runs": comparison.runs,

@@ -162,7 +162,7 @@ pub fn published_cells(scales: Scales) -> Vec<Vec<String>> {
 
 /// `paper.md`: every table, the published figures and the remarks on them.
 pub fn markdown(comparison: &Comparison) -> String {
-    let mut text = "# Systems beside each other\n\n".to_string();
+    let mut text = "# Systems side by side\n\n".to_string();
     text += &format!(
         "{}: {}. {}. Trained on {}; {}, {}.\n",
         formatting::count(comparison.scenes.len() as u64, "scene"),
@@ -187,7 +187,7 @@ pub fn markdown(comparison: &Comparison) -> String {
         rows.extend(published_cells(scales));
         text += &format!("\nPublished, {}:\n\n{}", published_caption(scales), lines(&rows));
     }
-    text += "\n## What has to be known\n\n";
+    text += "\n## Notes on the published figures\n\n";
     for remark in REMARKS {
         text += &format!("- {remark}\n");
     }

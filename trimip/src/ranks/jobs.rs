@@ -147,7 +147,9 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
                     self.changed.notify_all();
                 }
                 (None, Err(error)) => self.fail(error),
-                (None, Ok(_)) => self.fail(Error::run(format!("rank {rank} did a job that is not there"))),
+                (None, Ok(_)) => self.fail(Error::run(format!(
+                    "rank {rank} returned the result of a job that does not exist"
+                ))),
             },
             Err(error) => self.fail(error),
         }
@@ -217,7 +219,7 @@ impl<T> JobQueue<'_, T> {
 
 fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result<T>)> {
     let Done { job, result } = serde_json::from_slice(bytes)
-        .map_err(|error| Error::run(format!("a result of rank {rank} is not understood: {error}")))?;
+        .map_err(|error| Error::run(format!("cannot read a result of rank {rank}: {error}")))?;
     Ok((job as usize, result.map_err(|error| error.of_rank(rank))))
 }
 

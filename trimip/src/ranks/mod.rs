@@ -51,7 +51,7 @@ pub fn follow(
                 work(&**ranks)?;
             }
             Order::Quit => return Ok(()),
-            _ => return Err(Error::run("rank 0 gives orders to a session that is not there")),
+            _ => return Err(Error::run("rank 0 gave an order to a session that is not open")),
         }
     }
 }
@@ -63,7 +63,7 @@ fn expect_own(version: &str) -> Result<()> {
     }
     Err(Error::input(
         "this program",
-        format!("is {own}, that of rank 0 is {version}"),
+        format!("is {own}, but the program of rank 0 is {version}"),
         "install the same program on every machine",
     ))
 }
@@ -92,13 +92,15 @@ fn open(
     let near = ranks.on_machine();
     let own = computes_with(&config, near)?;
     if own != computes {
-        tell(format!("computes with {own}, rank 0 with {computes}: one process would have other bits"));
+        tell(format!(
+            "computes with {own}, but rank 0 with {computes}: a single process would give other bits"
+        ));
     }
     let scene = trimip_data::open(&config.section()?)?;
     if let Some(difference) = Fingerprint::of(&scene.train).difference(&data) {
         return Err(Error::input(
             &config.data.root,
-            format!("not the photographs of rank 0: {difference}"),
+            format!("holds other photographs than rank 0: {difference}"),
             "give every machine the same data under the same path",
         ));
     }
@@ -134,7 +136,7 @@ fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) ->
                 Ok(())
             }
             Order::Close => return Ok(()),
-            _ => return Err(Error::run("rank 0 gives other orders while a session is open")),
+            _ => return Err(Error::run("rank 0 gave another order while a session was open")),
         };
         match done {
             // All ranks have the same sums, so a step fails on all of them or on none, and rank 0 reports the failure.

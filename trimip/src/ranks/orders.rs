@@ -45,7 +45,7 @@ impl Order {
         let mut bytes = Vec::new();
         ranks.broadcast(&mut bytes)?;
         serde_json::from_slice(&bytes)
-            .map_err(|error| Error::run(format!("an order of rank 0 is not understood: {error}")))
+            .map_err(|error| Error::run(format!("cannot read an order of rank 0: {error}")))
     }
 }
 

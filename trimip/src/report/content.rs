@@ -103,7 +103,7 @@ impl<'a> Report<'a> {
     pub fn views_measured(&self) -> String {
         let Some(e) = self.headline() else { return "not evaluated".into() };
         let of = self.history.test_views().map_or(String::new(), |all| format!(" of {all}"));
-        let which = if e.last { "" } else { ", on the way" };
+        let which = if e.last { "" } else { ", during training" };
         format!("{}{of} test views{which}", e.views())
     }
 

@@ -87,9 +87,7 @@ pub fn poses(report: &Report<'_>) -> String {
 pub fn distance(report: &Report<'_>) -> String {
     let Some(found) = report.psnr_by_distance() else { return String::new() };
     let apart = found.spacings.map_or(String::new(), |(least, greatest)| {
-        format!(
-            ", which stand {least:.2} to {greatest:.2} spacings of the training cameras from the nearest one"
-        )
+        format!("; these distances are {least:.2} to {greatest:.2} times the spacing of the training cameras")
     });
     format!(
         "The rank correlation of PSNR and the distance to the nearest training camera is {:.2} over {} views{apart}. ",
@@ -233,7 +231,10 @@ mod tests {
             let found = report.psnr_by_distance().unwrap();
             assert_eq!((found.views, found.rank_correlation, found.spacings), (5, -1.0, Some((2.0, 10.0))));
             let text = markdown(&report);
-            assert!(text.contains("is -1.00 over 5 views, which stand 2.00 to 10.00 spacings"), "{text}");
+            assert!(
+                text.contains("is -1.00 over 5 views; these distances are 2.00 to 10.00 times"),
+                "{text}"
+            );
         });
     }
 }

@@ -194,18 +194,13 @@ impl Verdict {
     /// Reasons for the verdict and possible remedies, one line each.
     pub fn reasons(&self) -> Vec<String> {
         let Some(mean) = self.figures.mean else {
-            return vec![
-                "there is no final evaluation yet; eval.final says on which test views it is made".into(),
-            ];
+            return vec!["there is no final evaluation yet; eval.final selects its test views".into()];
         };
         let extent = self.figures.extent.map_or(String::new(), |extent| format!(" {extent}"));
         let mut reasons = vec![match mean.psnr_constant {
             constant if constant.is_nan() => format!("{:.2} dB{extent}", mean.psnr),
             constant => {
-                format!(
-                    "{:.2} dB{extent}, where each photograph's mean colour has {constant:.2} dB",
-                    mean.psnr
-                )
+                format!("{:.2} dB{extent} ({constant:.2} dB for each photograph's mean colour)", mean.psnr)
             }
         }];
         let training = &self.figures.training;
@@ -226,7 +221,7 @@ impl Verdict {
         }
         if let Some(below) = self.figures.below_median.filter(|_| self.floaters) {
             reasons.push(format!(
-                "the worst view lies {below:.1} dB below the median: look there for floaters near the camera"
+                "the worst view is {below:.1} dB below the median: look for floaters near its camera"
             ));
         }
         reasons.extend(mean.remark(self.figures.remedy).filter(|_| self.shines_through));
@@ -305,7 +300,10 @@ mod tests {
         assert_eq!(of([8, 8], 2, 7), "at 1/8 of the size over 2 of 7 test views");
         let extent = Some(Extent { scales: [1, 1], measured: 7, views: 7 });
         let words = Verdict::of(Figures { extent, ..solid(27.2) }).words();
-        assert!(words.starts_with("good: 27.20 dB at full size over 7 test views, where each"), "{words}");
+        assert!(
+            words.starts_with("good: 27.20 dB at full size over 7 test views (11.00 dB for each"),
+            "{words}"
+        );
     }
 
     #[test]

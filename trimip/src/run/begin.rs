@@ -54,8 +54,11 @@ impl Beginning {
         if progress(&checkpoint.config, &totals) < 1.0 {
             return Err(Error::input(
                 folder.root().display(),
-                format!("its run is not finished ({:.0} %)", 100.0 * progress(&checkpoint.config, &totals)),
-                Advice::Argument("finish it first: leave {continue-for} out, and give the folder or configuration that it was begun with".into()),
+                format!(
+                    "holds a run that is not finished ({:.0} %)",
+                    100.0 * progress(&checkpoint.config, &totals)
+                ),
+                Advice::Argument("finish it first: leave {continue-for} out, and give the folder or configuration that the run was started with".into()),
             ));
         }
         let mut settings = crate::settings::defaults();
@@ -82,7 +85,7 @@ impl Beginning {
         checkpoint.expect_config(&place, &Config { train, ..config.clone() })?;
         let at = progress(&config, &totals);
         let extended = format!(
-            "extended: goes on for {} after {}; the schedule stretches to the new length and stands at {:.0} % of it: \
+            "extended: continues for {} after {}; the schedule is stretched to the new length and is at {:.0} % of it: \
              learning rate {:.1e}, marching step {}",
             formatting::duration(more),
             formatting::duration(totals.seconds),

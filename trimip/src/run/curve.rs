@@ -18,8 +18,9 @@ pub fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> 
     let header: Vec<&str> =
         lines.next().map_or(Vec::new(), |(line, _)| line.split(',').map(str::trim).collect());
     let column = |name: &str| header.iter().position(|column| *column == name);
-    let missing =
-        |name: &str| Error::input(file, format!("no column `{name}`"), "name the columns in the first line");
+    let missing = |name: &str| {
+        Error::input(file, format!("has no column `{name}`"), "name the columns in the first line")
+    };
     let seconds = column("seconds").ok_or_else(|| missing("seconds"))?;
     let psnr = column("psnr_mean").ok_or_else(|| missing("psnr_mean"))?;
     let (is_last, stride) = (column("last"), column("stride"));
@@ -44,7 +45,8 @@ pub fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> 
         let views = stride.and_then(|column| cells.get(column)).map(|cell| (*cell).to_string());
         rows.push(Evaluated { measure, ends, views });
     }
-    curve(rows.into_iter()).ok_or_else(|| Error::input(file, "no measures", "name a run that was evaluated"))
+    curve(rows.into_iter())
+        .ok_or_else(|| Error::input(file, "has no evaluations", "name a run that was evaluated"))
 }
 
 /// One evaluation of a run.

@@ -39,7 +39,7 @@ impl RunFolder {
         };
         Err(Error::input(
             format!("{}{more}", first.display()),
-            "no run wrote this folder, and a run would replace what is there",
+            "would be replaced, and no run wrote this folder",
             Advice::AnyOf(vec![Advice::OtherFolder, "move these files away".into()]),
         ))
     }

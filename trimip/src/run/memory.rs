@@ -38,23 +38,23 @@ fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, there: Memor
         false => (needed, there.own.min(there.common)),
     };
     let (each, having, fewer) = match together {
-        false => (String::new(), "this process may have", ""),
+        false => (String::new(), "this process may use", ""),
         true => (
             format!(" in each of {ranks} ranks on this machine"),
-            "together they may have",
-            "start fewer ranks on it, ",
+            "together they may use",
+            "start fewer ranks on this machine, ",
         ),
     };
     (all > most).then(|| {
         Error::input(
             "memory",
             format!(
-                "the run needs about {}{each}, of which {largest} {}, but {having} {}",
+                "the run needs about {}{each} ({largest}: {}), but {having} {}",
                 formatting::bytes(needed),
                 formatting::bytes(*bytes),
                 formatting::bytes(most)
             ),
-            format!("{fewer}{}, or set memory = \"warn\" to begin all the same", lowered_by(config, largest)),
+            format!("{fewer}{}, or set memory = \"warn\" to start anyway", lowered_by(config, largest)),
         )
     })
 }
@@ -114,7 +114,7 @@ mod tests {
             // The ranks do not share a limit per process.
             let own = Memory { own: 600_000_000, common: u64::MAX };
             let error = shortage(&config, &parts(&config), 8, own).expect(setting);
-            assert!(error.message().contains("this process may have"), "{error}");
+            assert!(error.message().contains("this process may use"), "{error}");
             assert!(
                 !error.message().contains("--out") && error.message().contains("memory = \"warn\""),
                 "{error}"

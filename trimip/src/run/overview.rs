@@ -113,7 +113,7 @@ fn space_summary(config: &Config) -> String {
         }
         // The diameter of the uncontracted ball is half the side of the box.
         Contraction::Ball => {
-            format!("space: all of it, contracted beyond {:.3} units of its middle", sides[0] / 4.0)
+            format!("space: unbounded, contracted beyond {:.3} units from the centre", sides[0] / 4.0)
         }
     }
 }
@@ -138,7 +138,7 @@ fn plan_summary(findings: &[Finding]) -> Option<String> {
     let changing = findings.iter().filter(|finding| !finding.changes.is_empty()).count();
     (!findings.is_empty()).then(|| {
         format!(
-            "plan: {} from the photographs; -v tells them all",
+            "plan: {} from the photographs; -v lists them all",
             formatting::count(changing as u64, "decision")
         )
     })
@@ -148,7 +148,7 @@ fn model_line(config: &Config) -> String {
     let (layout, field) = (Layout::new(config), &config.field);
     let [hidden, density, color] = [field.hidden, field.density_layers, field.color_layers].map(u64::from);
     let values = |slots: &[Slot]| slots.iter().map(|slot| slot.range.len() as u64).sum::<u64>();
-    let blind = if field.directions { "" } else { ", which sees no directions" };
+    let blind = if field.directions { "" } else { ", without view directions" };
     format!(
         "model: {}, {}; hidden layers {hidden}×{density} for density and {hidden}×{color} for colour{blind}, {}",
         encoders::of(config).describe(config),
@@ -167,7 +167,7 @@ fn train_line(config: &Config, step: u64) -> String {
     } else {
         format!("{} at {per_step} a step", formatting::duration(train.seconds))
     };
-    let from = if step > 0 { format!(", going on from step {step}") } else { String::new() };
+    let from = if step > 0 { format!(", resumed from step {step}") } else { String::new() };
     format!("training: {length}{from}; backend {}, seed {}", config.backend, config.seed)
 }
 
@@ -179,10 +179,10 @@ fn evaluation_line(config: &Config, views: usize) -> String {
         (count, true) => format!("up to {count} of {all}"),
     };
     let way = match eval.points {
-        0 => "none on the way".to_string(),
+        0 => "none during training".to_string(),
         points => {
             let times = formatting::count(points, "time");
-            format!("{times} on the way on {}", on(eval.stride_of(views)))
+            format!("{times} during training on {}", on(eval.stride_of(views)))
         }
     };
     let end = eval
@@ -220,7 +220,7 @@ mod tests {
         assert!(train_line(&config, 0).contains("1 step of 1 sample, 1 sample in all"));
         assert!(model_line(&config).contains("1 mip level,"));
         let line = evaluation_line(&config, 1);
-        assert!(line.contains("1 time on the way on up to 1 of 1 test view,"), "{line}");
+        assert!(line.contains("1 time during training on up to 1 of 1 test view,"), "{line}");
     }
 
     #[test]
@@ -248,7 +248,7 @@ mod tests {
         assert_eq!(lines[1], "model: tri-mip, 12.6 M parameters");
         assert_eq!(lines[2], "time: 1 h 30 min of training from step 123456 on, backend cpu");
         config.scene.contraction = Contraction::Ball;
-        assert_eq!(space_summary(&config), "space: all of it, contracted beyond 0.750 units of its middle");
+        assert_eq!(space_summary(&config), "space: unbounded, contracted beyond 0.750 units from the centre");
         assert_eq!(plan_summary(&[]), None);
     }
 }

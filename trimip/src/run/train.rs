@@ -31,7 +31,7 @@ use trimip_core::{
     },
     field::model::Model,
     measures::quality::mean_quality,
-    run::{Observer, Outcome, Run},
+    run::{self, Observer, Run},
     scene::{fingerprint::Fingerprint, origin::LocalOrigin},
     scene_plan::{self, Facts},
 };
@@ -256,7 +256,7 @@ impl Training {
                 if !folder.checkpoint().exists() {
                     return Err(Error::input(
                         folder.root().display(),
-                        "holds no run to go on with",
+                        "holds no run to continue",
                         Advice::Argument(
                             "name the folder of the run with {out}, or leave {continue-for} out to train one"
                                 .into(),
@@ -389,8 +389,8 @@ impl Training {
         });
         let (history, unwritten) = recorder.into_parts();
         let outcome = outcome.map(|outcome| match outcome {
-            Outcome::Finished => Outcome::Finished,
-            Outcome::Stopped => Outcome::Stopped,
+            run::Outcome::Finished => Outcome::Finished,
+            run::Outcome::Stopped => Outcome::Stopped,
         });
         let (folder, scene) = (folder.clone(), scene.name);
         Ok(Trained { folder, scene, config, settings, history, outcome, unwritten, data, _held: held })

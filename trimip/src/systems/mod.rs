@@ -82,8 +82,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Smaller,
         settings: file!("nerf-occ-64"),
         beside: Some("NeRF"),
-        differs: "one network of a quarter of the width; uniform steps through an occupancy grid for two passes; a softplus \
-                  density that begins empty, four times the learning rate",
+        differs: "one network of a quarter of the width; uniform steps through an occupancy grid instead of two passes; a softplus \
+                  density that is empty at first; four times the learning rate",
     },
     System {
         name: "mip-occ-64",
@@ -91,8 +91,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Smaller,
         settings: file!("mip-occ-64"),
         beside: Some("MipNeRF"),
-        differs: "a quarter of the width; uniform steps through an occupancy grid for two passes; the density begins empty, four \
-                  times the learning rate; the sigmoid is not widened, no sine warm-up",
+        differs: "a quarter of the width; uniform steps through an occupancy grid instead of two passes; the density is empty at \
+                  first; four times the learning rate; the sigmoid is not widened; no sine warm-up",
     },
     System {
         name: "plenoxels-160",
@@ -100,8 +100,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Smaller,
         settings: file!("plenoxels-160"),
         beside: Some("Plenoxels"),
-        differs: "160³ grid points, all of them, for 512³ of which most are left out; no total variation; steps of 2^16 samples, \
-                  moments that grow with the grid; an occupancy grid, random starts of rays",
+        differs: "all of 160³ grid points instead of a sparse 512³; no total variation; steps of 2^16 samples; \
+                  moments that grow with the grid; an occupancy grid; random starts of rays",
     },
     System {
         name: "tensorf-vm",
@@ -109,8 +109,8 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Whole,
         settings: file!("tensorf-vm"),
         beside: Some("TensoRF"),
-        differs: "an occupancy grid for the alpha mask; the box is found at the start; \
-                  steps of 2^15 samples, not of 4,096 rays, so colours begin for all samples (renderer.color_weight); the published \
+        differs: "an occupancy grid instead of the alpha mask; the box is found at the start; \
+                  steps of 2^15 samples, not of 4,096 rays, so all samples have colours at first (renderer.color_weight); the published \
                   figures come from a GPU",
     },
     System {
@@ -127,9 +127,9 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Whole,
         settings: file!("ngp"),
         beside: Some("Instant-ngp"),
-        differs: "no running mean of the weights, no decay of the networks' weights, 15 of the density network's 16 outputs go on to \
-                  the colour network, smooth-L1 for Huber; eight times as many steps of 2^15 samples instead of 2^18; this program's \
-                  refreshes of the grid; the published figures come from a GPU",
+        differs: "no running mean of the weights; no decay of the networks' weights; the colour network reads 15 of the density \
+                  network's 16 outputs; smooth-L1 instead of Huber; eight times as many steps, of 2^15 samples instead of 2^18; this \
+                  program's refreshes of the grid; the published figures come from a GPU",
     },
     System {
         name: "ngp-17",
@@ -137,7 +137,7 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Smaller,
         settings: file!("ngp-17"),
         beside: Some("Instant-ngp"),
-        differs: "2^17 entries a level instead of 2^19; else as ngp",
+        differs: "2^17 entries a level instead of 2^19; otherwise as ngp",
     },
     System {
         name: "ngp-5x",
@@ -145,7 +145,7 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Whole,
         settings: file!("ngp-5x"),
         beside: Some("Instant-ngp 5×"),
-        differs: "as ngp; where the four outer rays of a pixel lie is not published: half-way to its corners",
+        differs: "as ngp; the four outer rays of a pixel are half-way to its corners, which is not published",
     },
     System {
         name: "ngp-down",
@@ -177,7 +177,7 @@ pub const SYSTEMS: &[System] = &[
         kind: Kind::Whole,
         settings: file!("tri-mip-paper"),
         beside: Some("Tri-MipRF"),
-        differs: "nothing that the paper states; at a budget of time it has as many of its 25,000 steps as fit",
+        differs: "nothing that the paper states; with a time budget, as many of its 25,000 steps as fit",
     },
     System {
         name: "tri-mip",

@@ -185,7 +185,7 @@ pub const REMARKS: &[&str] = &[
      3.57 dB. MipNeRF without the area loss has 32.98 dB.",
     "Mip-NeRF trains on the split train; the code of Tri-MipRF trains on train and val. On lego, with train alone, Tri-MipRF's code \
      has 35.72 dB and MipNeRF 35.74 dB. All systems that are measured here train on one split, stated at the head of the page.",
-    "Instant-ngp's evaluation script shows black, and its training random backgrounds. With white in both, its single-scale figures \
+    "Instant-ngp's evaluation script uses a black background, and its training random backgrounds. With white in both, its single-scale figures \
      are 35.87 dB on lego and 32.35 dB in the mean (nerfacc). All systems that are measured here are evaluated on one background.",
     "The 64.1 MB of Instant-ngp are probably 16 · 2¹⁹ · 2 numbers of four bytes; its real tables have 46.5 MiB, because coarse levels \
      have fewer corners.",

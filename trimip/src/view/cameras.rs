@@ -28,7 +28,7 @@ pub fn aimed(
     if up.cross(back).length() <= 1e-9 * up.length() * back.length() {
         return Err(Error::input(
             place,
-            "the camera looks along its up axis, or stands on its target",
+            "the camera looks along its up axis, or is at its target",
             Advice::Argument("choose another {up}, such as {up} 0,1,0".into()),
         ));
     }
@@ -61,16 +61,16 @@ pub fn posed(place: impl Into<Place>, matrix: &[f64], intrinsics: Intrinsics) ->
         ))
     };
     if ![12, 16].contains(&matrix.len()) {
-        return refuse(format!("{} numbers instead of 12 or 16", matrix.len()));
+        return refuse(format!("has {} numbers instead of 12 or 16", matrix.len()));
     }
     if matrix.iter().any(|value| !value.is_finite()) {
-        return refuse("a number that is not finite".into());
+        return refuse("has a number that is not finite".into());
     }
     let column = |c: usize| DVec3::new(matrix[c], matrix[4 + c], matrix[8 + c]);
     let rotation = DMat3::from_cols(column(0), column(1), column(2));
     let error = (rotation.transpose() * rotation - DMat3::IDENTITY).to_cols_array();
     if error.iter().any(|e| e.abs() > 1e-3) || rotation.determinant() < 0.0 {
-        return refuse("the upper left 3×3 block is no rotation".into());
+        return refuse("has no rotation in its upper left 3×3 block".into());
     }
     Ok(Camera { intrinsics, rotation, origin: column(3) })
 }
@@ -109,20 +109,24 @@ pub fn path(file: &Path, fallback: Intrinsics, origin: LocalOrigin) -> Result<Ve
 /// As [`path`].
 pub fn path_of(place: &str, text: &str, fallback: Intrinsics) -> Result<Vec<Named>> {
     let broken = |error: serde_json::Error| {
-        Error::input(place, format!("not a camera path: {error}"), "expected JSON like transforms_test.json")
+        Error::input(
+            place,
+            format!("is not a camera path: {error}"),
+            "expected JSON like transforms_test.json",
+        )
     };
     let json: Value = serde_json::from_str(text).map_err(broken)?;
     let head: Projection = Projection::deserialize(&json).map_err(broken)?;
     let Some(frames) = json.get("frames").and_then(Value::as_array).filter(|frames| !frames.is_empty())
     else {
-        return Err(Error::input(place, "no `frames`", "expected JSON like transforms_test.json"));
+        return Err(Error::input(place, "has no `frames`", "expected JSON like transforms_test.json"));
     };
     let mut cameras = Vec::new();
     for (i, frame) in frames.iter().enumerate() {
         let place = Place::part(place, format_args!("frames[{i}]"));
         let own = Projection::deserialize(frame).map_err(broken)?;
         let Some(matrix) = frame.get("transform_matrix").and_then(flatten) else {
-            return Err(Error::input(place, "no `transform_matrix`", "add a 4×4 camera-to-world matrix"));
+            return Err(Error::input(place, "has no `transform_matrix`", "add a 4×4 camera-to-world matrix"));
         };
         let lens = trimip_data::lens_of(&place, &json, frame)?;
         let own = Stated { projection: own, extent: extent(frame, lens) };
@@ -168,7 +172,7 @@ fn projected(
     if !(sane && fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|value| value.is_finite())) {
         return Err(Error::input(
             place,
-            format!("{width}×{height} pixels with focal length {fx}, {fy}"),
+            format!("has {width}×{height} pixels and focal length {fx}, {fy}"),
             "expected 1 to 16384 pixels and a focal length above 0",
         ));
     }

@@ -36,14 +36,14 @@ impl Lpips {
         let (inputs, outputs) = (model.input_ids().len(), model.output_ids().len());
         if (inputs, outputs) != (2, 1) {
             return Err(refuse(format!(
-                "has {inputs} inputs and {outputs} outputs, LPIPS has two pictures and one number"
+                "has {inputs} inputs and {outputs} outputs instead of two pictures and one number"
             )));
         }
         let mut lpips = Self { model };
         let grey = vec![[0.5; 3]; TRIAL * TRIAL];
         let distance = lpips.distance(&grey, &grey, TRIAL).map_err(&refuse)?;
         if !(distance.abs() <= ROUNDING) {
-            return Err(refuse(format!("gives {distance} for equal pictures, LPIPS gives 0")));
+            return Err(refuse(format!("gives {distance} instead of 0 for equal pictures")));
         }
         Ok(lpips)
     }

@@ -102,7 +102,7 @@ mod tests {
         let error = PerceptualMetrics::open(&eval).err().expect("there is no such file");
         assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
         assert!(
-            error.message().contains("nowhere.onnx") && error.message().contains("eval.lpips=\"\""),
+            error.message().contains("nowhere.onnx") && error.message().contains("eval.lpips = \"\""),
             "{error}"
         );
     }

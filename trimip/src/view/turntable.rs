@@ -91,7 +91,7 @@ fn within(distance: f64, half: DVec3, place: Place) -> Result<f64> {
         return Ok(distance);
     }
     let expected = format!(
-        "expected above 0 and at most {:e}; {{distance}} and {{fov}} decide",
+        "expected above 0 and at most {:e}; change {{distance}} or {{fov}}",
         FARTHEST * half.length()
     );
     Err(Error::input(place, "is out of range", Advice::Argument(expected)))

@@ -93,7 +93,7 @@ pub fn encode(
         Ok(false) => Ok(false),
         fed => {
             let said = String::from_utf8_lossy(&output.stderr);
-            let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it said nothing");
+            let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it printed nothing");
             Err(failed(&format!("{}: {last}", fed.err().unwrap_or_else(|| "ffmpeg failed".into()))))
         }
     };

@@ -193,8 +193,8 @@ fn write(
         "views": indices,
         "background": model.config.data.background,
         "edge_exponents": model.config.data.edge_exponents,
-        "measures": "PSNR in dB of unrounded colours, means over the views: psnr as the set shows silhouettes, psnr_plain \
-                     without its edge exponents, psnr_box against a true box filter of the finest photographs, \
+        "measures": "PSNR in dB of unrounded colours, means over the views: psnr with the edge exponents of the set, psnr_plain \
+                     without them, psnr_box against a true box filter of the finest photographs, \
                      psnr_converged against the average of the most cones",
         "rows": rows,
     });

@@ -108,9 +108,9 @@ fn html(
         ),
         page::plot("Error against time", lines, "One line for each run, one colour for each variant."),
         format!(
-            "<section><h2>Variants</h2>{}<p class=\"lead\">Means over the seeds; the spread is the largest less the \
-             smallest PSNR. Variants that no other beats in both time and error have a star. ≤ stands where a first \
-             measure is already above.</p><ul>{}</ul></section>\n",
+            "<section><h2>Variants</h2>{}<p class=\"lead\">Means over the seeds; the spread is the largest minus the \
+             smallest PSNR. A star marks variants that no other beats in both time and error. ≤ marks times before which a \
+             run had no measurement.</p><ul>{}</ul></section>\n",
             page::table(&cells(rows, reach), false),
             settings.collect::<String>()
         ),

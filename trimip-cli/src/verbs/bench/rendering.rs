@@ -124,8 +124,8 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     }
     bar.suspend(|| terminal::line(table(&rows)));
     let remark = format!(
-        "the reference itself is {own:.1e} from that of half its steps; order to be expected: 1, for the grid's cells begin \
-         and end the medium, 2 within it; {} backend, {}",
+        "the reference differs by {own:.1e} from one with half the steps; expected order: 1 where cells of the occupancy \
+         grid begin or end the medium, 2 within it; {} backend, {}",
         model.config.backend,
         Machine::detect().cpu
     );

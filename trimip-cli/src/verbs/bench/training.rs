@@ -163,7 +163,7 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     variants.extend(tried(&arguments.variants)?);
     for text in &arguments.vary {
         let (key, values) = text.split_once('=').ok_or_else(|| {
-            Error::input(format!("--vary '{text}'"), "no values", "write 'KEY=VALUE|VALUE'")
+            Error::input(format!("--vary '{text}'"), "has no values", "write 'KEY=VALUE|VALUE'")
         })?;
         variants.extend(values.split('|').map(|value| {
             let assignment = format!("{}={}", key.trim(), value.trim());
@@ -176,10 +176,10 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
         .find(|(i, v)| variants[..*i].iter().any(|w| slug(&w.name) == slug(&v.name)));
     match twice {
         Some((_, variant)) => {
-            Err(Error::input("bench", format!("two variants `{}`", variant.name), "name them apart"))
+            Err(Error::input("bench", format!("two variants `{}`", variant.name), "give each its own name"))
         }
         None if variants.is_empty() => {
-            Err(Error::input("bench", "no variant", "name some by --try or --vary"))
+            Err(Error::input("bench", "no variant", "define some with --try or --vary"))
         }
         None => Ok(variants),
     }
@@ -189,7 +189,7 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
 pub fn tried(texts: &[String]) -> Result<Vec<Variant>> {
     let variant = |text: &String| {
         let (name, assignments) = text.split_once(':').ok_or_else(|| {
-            Error::input(format!("--try '{text}'"), "no name", "write 'NAME: KEY=VALUE; KEY=VALUE'")
+            Error::input(format!("--try '{text}'"), "has no name", "write 'NAME: KEY=VALUE; KEY=VALUE'")
         })?;
         let assignments = assignments.split(';').map(|a| a.trim().to_string()).filter(|a| !a.is_empty());
         Ok(Variant { name: name.trim().into(), assignments: assignments.collect() })

@@ -107,8 +107,8 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     compare(&mut rows);
     terminal::line(aligned(&cells(&rows)));
     terminal::prose(format!(
-        "{} of {} views, {}; converged: steps a {SHORTER}th as long, nothing left out; * no other way of the scale is both \
-         faster and nearer to it; {} on {}",
+        "{} of {} views, {}; converged: steps a {SHORTER}th as long, nothing left out; * marks ways that no other way at the \
+         scale beats in both time and error; {} on {}",
         indices.len(),
         scene.frames.len(),
         scene.name,
@@ -233,7 +233,7 @@ fn cells(rows: &[WayRow]) -> Vec<Vec<String>> {
         "speed",
         "converged / dB",
         "photographs / dB",
-        "less volume",
+        "minus volume",
         "front",
     ];
     let mut cells = vec![head.map(String::from).to_vec()];
@@ -274,8 +274,8 @@ fn write(
         "views": indices,
         "background": model.config.data.background,
         "edge_exponents": model.config.data.edge_exponents,
-        "measures": "means over the views: psnr in dB as the set shows silhouettes, gain the same less that of the first \
-                     way, psnr_converged in dB against volume rendering with shorter steps, milliseconds of a frame, \
+        "measures": "means over the views: psnr in dB with the edge exponents of the set, gain the same minus that of \
+                     the first way, psnr_converged in dB against volume rendering with shorter steps, milliseconds of a frame, \
                      speed relative to the first way",
         "rows": rows,
     });
@@ -312,15 +312,15 @@ fn write(
         sections += "</section>\n";
     }
     let head = format!(
-        "<header><h1>Ways to few samples</h1><p class=\"lead\">{}, backend {} on {}; means over {}. Converged: steps a \
-         {SHORTER}th as long, nothing left out. A star stands at ways that no other one of the scale beats in both time \
+        "<header><h1>Ways to render with few samples</h1><p class=\"lead\">{}, backend {} on {}; means over {}. Converged: steps a \
+         {SHORTER}th as long, nothing left out. A star marks ways that no other way at the scale beats in both time \
          and error.</p></header>\n",
         page::escape(&path.display().to_string()),
         page::escape(&model.config.backend),
         page::escape(device),
         terminal::count(indices.len() as u64, "view"),
     );
-    keep("ways.html", &page::whole("Ways to few samples – Tri-MipRF", &(head + &sections)))
+    keep("ways.html", &page::whole("Ways to render with few samples – Tri-MipRF", &(head + &sections)))
 }
 
 /// One line per family at a scale.

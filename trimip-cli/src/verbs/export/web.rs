@@ -54,7 +54,11 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
     let folder = if whole.is_dir() { Some(&*whole) } else { whole.parent() };
     let name = folder.and_then(Path::file_name).map_or_else(|| "model".into(), |name| name.to_string_lossy());
     if out.join("index.html").exists() && !out.join(ABOUT).exists() {
-        return Err(Error::input(out.display(), "holds a page of something else", "choose another --out"));
+        return Err(Error::input(
+            out.display(),
+            "holds a page that `export web` did not write",
+            "choose another --out",
+        ));
     }
     run_folder::create_writable(&out)?;
     let origin = LocalOrigin::of(&model.config.data);

@@ -17,7 +17,7 @@ use std::sync::atomic::Ordering;
 use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns, json, latex, markdown};
 use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
-use trimip::{Outcome, Error, ErrorKind, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
+use trimip::{Error, ErrorKind, Outcome, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 use trimip_core::engine::exchange::Ranks;
 use trimip_report::{paper as page, save};
 
@@ -58,7 +58,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
         (comparison.runs[i].status, comparison.runs[i].figures) = (status, figures);
         write(&request, &comparison)?;
         if stopped {
-            terminal::aside(format!("page so far: {}; the same command goes on", request.page().display()));
+            terminal::aside(format!("page so far: {}; the same command resumes", request.page().display()));
             return Ok(interrupt::EXIT_CODE);
         }
     }
@@ -108,7 +108,8 @@ fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
     if !job.is_trained() {
         let trained = train::train(job.training(), style);
         let whole = |trained: &Trained| {
-            matches!(trained.outcome, Ok(Outcome::Finished | Outcome::AlreadyComplete)) && trained.unwritten.is_none()
+            matches!(trained.outcome, Ok(Outcome::Finished | Outcome::AlreadyComplete))
+                && trained.unwritten.is_none()
         };
         if !trained.as_ref().is_ok_and(whole) {
             return concluded(trained, style);
@@ -178,7 +179,7 @@ impl Request {
 
 /// The table of systems for a terminal.
 fn list() -> String {
-    let mut rows = vec![["name", "system", "kind", "beside"].map(String::from).to_vec()];
+    let mut rows = vec![["name", "system", "kind", "compared with"].map(String::from).to_vec()];
     rows.extend(SYSTEMS.iter().map(|system| {
         vec![
             system.name.to_string(),
@@ -197,7 +198,7 @@ fn list() -> String {
     };
     let mut text: Vec<String> = rows.iter().map(line).collect();
     text.push(String::new());
-    text.push("What differs from the published systems:".into());
+    text.push("Differences from the published systems:".into());
     text.extend(SYSTEMS.iter().map(|system| format!("  {}: {}", system.name, system.differs)));
     text.join("\n")
 }

@@ -40,7 +40,7 @@ pub fn lines(request: &Request) -> Vec<String> {
         format!("scenes: {}", names(request.scenes.iter().map(|scene| scene.name.as_str()).collect())),
     ];
     if !request.missing.is_empty() {
-        lines.push(format!("not there: {}", names(request.missing.clone())));
+        lines.push(format!("missing: {}", names(request.missing.clone())));
     }
     lines.push(format!(
         "runs: {}, {finished} finished, {begun} begun; trained on {}; {}",
@@ -67,19 +67,21 @@ fn time(jobs: &[PaperRun], states: &[State], stride: u32) -> String {
     let known: Vec<f64> = states.iter().filter_map(|state| state.evaluation).collect();
     let mut text = format!("expected time: {} of training", duration(training));
     if !unknown.is_empty() {
-        text +=
-            &format!(", and the whole schedules of {}, known once one of each has begun", unknown.join(", "));
+        text += &format!(
+            ", plus the schedules of {}, estimated once a run of each has begun",
+            unknown.join(", ")
+        );
     }
     let views = match stride {
         1 => "all test views".to_string(),
         _ => format!("1 in {stride} test views"),
     };
     text += &match known.len() {
-        0 => format!("; evaluations of {views} are extra"),
+        0 => format!("; evaluating {views} takes extra time"),
         runs => {
             let mean = known.iter().sum::<f64>() / runs as f64;
             let noun = count(open as u64, "evaluation");
-            format!("; {} for {noun} of {views}, as finished ones took", duration(mean * open as f64))
+            format!("; {} for {noun} of {views}, judging by finished ones", duration(mean * open as f64))
         }
     };
     text

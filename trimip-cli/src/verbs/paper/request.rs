@@ -169,8 +169,8 @@ fn scenes(folders: &[PathBuf]) -> Result<(Vec<Scene>, Vec<&'static str>)> {
         if name == SINGLE || scenes.iter().any(|scene| scene.name == name) {
             return Err(Error::input(
                 &root,
-                format!("a second scene `{name}`, or the name of a folder of this command"),
-                "name the folders of scenes apart",
+                format!("is a second scene `{name}`, or has the name of a folder that this command writes"),
+                "give the folders of the scenes different names",
             ));
         }
         scenes.push(Scene { name, root });
@@ -221,7 +221,11 @@ impl Layers {
         let mut shared = vec![format!("data.train={:?}", request.split)];
         match (arguments.schedule, arguments.seconds) {
             (Schedule::Own, Some(_)) => {
-                return Err(Error::input("--schedule own", "has no --seconds", "give one of the two"));
+                return Err(Error::input(
+                    "--schedule own",
+                    "cannot be used with --seconds",
+                    "give one of the two",
+                ));
             }
             (Schedule::Own, None) => {}
             (Schedule::Equal, seconds) => {
@@ -229,7 +233,7 @@ impl Layers {
                 if !(seconds.is_finite() && seconds > 0.0) {
                     return Err(Error::input(
                         format!("--seconds {seconds}"),
-                        "is no time",
+                        "is not a duration",
                         "give a number above 0",
                     ));
                 }

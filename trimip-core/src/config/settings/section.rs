@@ -2,7 +2,6 @@
 //! [`ForeignSection::of`] to the program, which registers it; [`Config::section`](crate::Config::section) reads it.
 
 use super::checker::Checker;
-use super::text::parts_of;
 use super::values::{fit, shown};
 use crate::config::defaults::{ForeignSection, Fragment, definitions_of};
 use crate::{Advice, Error, Place, Result};

@@ -35,7 +35,7 @@ fn broken(what: impl std::fmt::Display) -> Error {
 /// The `expected` bytes of a compressed tensor.
 fn part(assets: &Assets, part: &str, expected: usize) -> Result<Vec<u8>> {
     let full = name(part);
-    let Some(tensor) = assets.get(&full) else { return Err(broken(format!("no bytes `{full}`"))) };
+    let Some(tensor) = assets.get(&full) else { return Err(broken(format!("has no tensor `{full}`"))) };
     inflated(tensor, expected).map_err(|what| broken(format!("`{full}` {what}")))
 }
 
@@ -80,7 +80,9 @@ impl Proxy {
         let all: u64 = cells.iter().map(|&count| u64::from(count)).product();
         let positive = |value: f32| value > 0.0 && value.is_finite();
         if !(sides && all <= MOST_CELLS && positive(width) && positive(radius)) {
-            return Err(broken(format!("a grid of {x} x {y} x {z} cells of {width}, spheres of {radius}")));
+            return Err(broken(format!(
+                "has an impossible shape: {x} x {y} x {z} cells of width {width}, spheres of radius {radius}"
+            )));
         }
         let bricks = all as usize / BRICK_CELLS;
         let bits = part(assets, BRICKS, bricks.div_ceil(8))?;

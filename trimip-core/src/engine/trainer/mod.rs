@@ -80,7 +80,11 @@ impl<B: Backend> Trainer<B> {
     /// As [`new`](Self::new), on a device that is shared.
     fn on(backend: Arc<B>, config: &Config, views: ViewSet) -> Result<Self> {
         if views.pixels.is_empty() {
-            return Err(Error::input("training views", "no pixels", "name a data set with training images"));
+            return Err(Error::input(
+                "training views",
+                "have no pixels",
+                "name a data set with training images",
+            ));
         }
         ErrorMap::new(config, &views)?;
         let hull = config.occupancy.hull.then(|| Hull::of(config, &views)).flatten();

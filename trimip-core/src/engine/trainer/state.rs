@@ -76,8 +76,8 @@ impl<B: Backend> Trainer<B> {
         if let Some(difference) = other {
             return Err(Error::input(
                 "training photographs",
-                format!("not those that the run was begun with: {difference}"),
-                Advice::AnyOf(vec!["bring them back".into(), Advice::StartOver, Advice::OtherFolder]),
+                format!("differ from those that the run began with: {difference}"),
+                Advice::AnyOf(vec!["restore them".into(), Advice::StartOver, Advice::OtherFolder]),
             ));
         }
         let densities = checkpoint.file.f32(name, OCCUPANCY_DENSITY, &[self.loaded.cells()])?;
