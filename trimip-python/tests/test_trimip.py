@@ -7,6 +7,7 @@ import pickle
 import signal
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -148,6 +149,20 @@ def test_ctrl_c_stops_a_capture_and_its_programs(keyboard, model, tmp_path, monk
             return
         time.sleep(0.05)
     pytest.fail("the program goes on")
+
+
+def test_the_readme_shows_a_function_that_runs(cli, tmp_path):
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    shown = readme.split("```python\n")[1].split("```")[0]
+    small = ["--set", "data.builtin_size=16", "--set", "data.builtin_train=4", "--set", "data.builtin_test=2"]
+    scene = tmp_path / "scene"
+    answer = cli("data", "multiscale", "--set", "data.format=builtin", *small, "--out", scene)
+    assert answer.returncode == 0, answer.stderr
+    names = {}
+    exec(shown, names)
+    density, color = names["first"](str(scene), 3.0, str(tmp_path / "run"))
+    assert density.shape == (1,) and color.shape == (1, 3)
+    assert (tmp_path / "run/view.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_progress_is_one_line(tmp_path):

@@ -1,5 +1,8 @@
-//! Runs the examples: one trains and writes a picture, the other renders the resulting model.
+//! Runs the examples: two train and write a picture, the third renders a model. The README shows a function of the first.
 
+#[allow(dead_code)]
+#[path = "../examples/first.rs"]
+mod first;
 #[allow(dead_code)]
 #[path = "../examples/render.rs"]
 mod render;
@@ -33,6 +36,29 @@ fn expect_picture(path: &Path, size: (u32, u32)) {
     assert!(picture.pixels().any(|pixel| pixel != first), "{} has one colour", path.display());
 }
 
+/// Writes the built-in scene as photographs.
+fn write_photographs(folder: &Path) {
+    let config = trimip::settings::defaults().with("data.builtin_size", 16).unwrap();
+    let config = config.with("data.builtin_train", 4).unwrap().with("data.builtin_test", 1).unwrap();
+    let config = trimip::Config::from_settings(&config).unwrap();
+    trimip::data::write_builtin(&config.section().unwrap(), folder, &trimip::data::unwatched).unwrap();
+}
+
+#[test]
+fn the_readme_shows_a_function_that_runs() {
+    let read = |file: &str| std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
+    let readme = read("../README.md");
+    let shown = readme.split("```rust\n").nth(1).and_then(|rest| rest.split("```").next());
+    let shown = shown.expect("the README has a block of Rust");
+    assert!(read("examples/first.rs").ends_with(shown), "the README's function is not that of the example:\n{shown}");
+
+    let temporary = tempfile::tempdir().unwrap();
+    let photographs = temporary.path().join("photographs");
+    write_photographs(&photographs);
+    first::first(photographs.to_str().unwrap(), 3.0, temporary.path()).unwrap();
+    expect_picture(&temporary.path().join("view.png"), (16, 16));
+}
+
 #[test]
 fn one_example_trains_and_the_other_renders() {
     let temporary = tempfile::tempdir().unwrap();
@@ -46,12 +72,9 @@ fn one_example_trains_and_the_other_renders() {
     expect_picture(&picture, (64, 48));
     assert_eq!(render::run(&[]).unwrap_err().kind(), trimip_core::ErrorKind::Input);
 
-    // A folder of photographs, here those of the built-in scene, is the first argument.
+    // A folder of photographs is the first argument.
     let photographs = temporary.path().join("photographs");
-    let config = trimip::settings::defaults().with("data.builtin_size", 16).unwrap();
-    let config = config.with("data.builtin_train", 4).unwrap().with("data.builtin_test", 1).unwrap();
-    let config = trimip::Config::from_settings(&config).unwrap();
-    trimip::data::write_builtin(&config.section().unwrap(), &photographs, &trimip::data::unwatched).unwrap();
+    write_photographs(&photographs);
     let again = temporary.path().join("again");
     train::run(&[vec![photographs.display().to_string()], arguments].concat(), &again).unwrap();
     expect_picture(&again.join("view.png"), (16, 16));
