@@ -144,7 +144,7 @@ impl Camera {
             let (focal, centre) = ([fx[i], fy[i]], [cx[i], cy[i]]);
             let k = Projection { width, height, fov: fov[i], focal, centre, lens: None }.intrinsics()?;
             let numbers: Vec<f64> = pose.iter().copied().collect();
-            Ok(Self(posed(&format!("poses[{i}]"), &numbers, k).map_err(raised)?))
+            Ok(Self(posed(format!("poses[{i}]"), &numbers, k).map_err(raised)?))
         };
         poses.outer_iter().map(|pose| pose.into_dyn()).enumerate().map(one).collect()
     }

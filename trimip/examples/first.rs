@@ -7,7 +7,8 @@ use trimip::{Error, Training, backends, data, events::Event, settings, view};
 
 fn main() -> trimip::Result<()> {
     let folder = std::env::args().nth(1);
-    let folder = folder.ok_or_else(|| Error::input("arguments", "no folder", "name a folder of photographs"))?;
+    let folder =
+        folder.ok_or_else(|| Error::input("arguments", "no folder", "name a folder of photographs"))?;
     first(&folder, 60.0, Path::new("runs/first"))
 }
 

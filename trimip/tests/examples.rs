@@ -46,11 +46,15 @@ fn write_photographs(folder: &Path) {
 
 #[test]
 fn the_readme_shows_a_function_that_runs() {
-    let read = |file: &str| std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
+    let read =
+        |file: &str| std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
     let readme = read("../README.md");
     let shown = readme.split("```rust\n").nth(1).and_then(|rest| rest.split("```").next());
     let shown = shown.expect("the README has a block of Rust");
-    assert!(read("examples/first.rs").ends_with(shown), "the README's function is not that of the example:\n{shown}");
+    assert!(
+        read("examples/first.rs").ends_with(shown),
+        "the README's function is not that of the example:\n{shown}"
+    );
 
     let temporary = tempfile::tempdir().unwrap();
     let photographs = temporary.path().join("photographs");
