@@ -110,7 +110,7 @@ mod launched {
 #[cfg(not(feature = "mpi"))]
 mod launched {
     use std::sync::Arc;
-    use trimip_core::{ErrorKind, Result, engine::exchange::Ranks};
+    use trimip_core::{Error, Result, engine::exchange::Ranks};
 
     pub fn all() -> Option<Arc<dyn Ranks>> {
         None
