@@ -470,7 +470,7 @@ fn of_several_models_the_largest_is_taken_and_the_rest_is_told() {
     let told = place.captures(&["walk"]);
     for part in [
         "8 of 12 pictures placed",
-        "models: 2 of 8 (1), 2 (0) pictures",
+        "models: 2 with 8 (1), 2 (0) pictures",
         "not placed: 09.jpg (09.jpg): in another model of 2 pictures",
         "not placed: 11.jpg (11.jpg): too blurred",
         "not placed: 08.jpg (08.jpg): too few matches",
