@@ -1,5 +1,4 @@
-//! Checks beyond the range of each number, which the table of defaults states: multiples, schedules, and settings that depend
-//! on each other.
+//! Checks that go beyond the ranges in the table of defaults: multiples, schedules, and settings that depend on each other.
 
 use super::{
     ConePattern, Config, Contraction, Convention, EncoderKind, EvalConfig, FieldConfig, LossConfig,
@@ -10,13 +9,13 @@ use crate::{Error, Result, Settings};
 use toml::{Table, Value};
 
 impl Config {
-    /// Checks that every setting is in its range. Settings read from text are checked while they are read; this is for
-    /// configurations built or changed in code. Training and rendering call it before they begin.
+    /// Checks that every setting is in its range. Settings read from text are checked while they are read, so this function
+    /// is for configurations that are built or changed in code. Training and rendering call it before they begin.
     ///
     /// # Errors
     /// The error names the first setting that is out of range, its value and what is expected.
     pub fn validate(&self) -> Result<()> {
-        // TOML, in which a configuration is stored, has signed numbers of 64 bits.
+        // Configurations are stored as TOML, whose integers are signed and have 64 bits.
         for (path, number) in [("seed", self.seed), ("train.steps", self.train.steps)] {
             if i64::try_from(number).is_err() {
                 let place = format!("configuration: {path} = {number}");
@@ -32,8 +31,8 @@ impl Config {
         self.check_all(&settings, &Checker::new(&place, &given))
     }
 
-    /// Checks the ranges, the sections of other crates, and core's settings together. `settings` are those of this
-    /// configuration.
+    /// Checks the ranges, the sections of other crates, and the relations between core's settings. `settings` are the
+    /// settings of this configuration.
     pub(super) fn check_all(&self, settings: &Settings, to: &Checker<'_>) -> Result<()> {
         settings.check_ranges(to)?;
         let table = settings.table();
@@ -44,7 +43,7 @@ impl Config {
         self.check_together(to)
     }
 
-    /// Checks core's settings beyond the ranges of single numbers.
+    /// Runs the checks of core's settings that go beyond the ranges of single numbers.
     fn check_together(&self, to: &Checker<'_>) -> Result<()> {
         self.data.check(to)?;
         self.scene.check(to)?;
@@ -83,7 +82,8 @@ impl Config {
         self.refuse_settings_of_other_encoders(to, |owner| open && owner == EncoderKind::HashGrid)
     }
 
-    /// Refuses settings of encoders that are not in use, if they differ from the defaults and `may_follow` is false for their encoder.
+    /// Refuses a setting that belongs to an encoder not in use and differs from its default, unless `may_follow` is true for that
+    /// encoder.
     pub(crate) fn refuse_settings_of_other_encoders(
         &self,
         to: &Checker<'_>,

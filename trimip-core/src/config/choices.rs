@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Declares a named choice, written in lower case.
+/// Declares an enum of named values, which configurations write in lower case.
 macro_rules! choice {
     ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident),* $(,)? }) => {
         $(#[$meta])*
@@ -24,44 +24,45 @@ choice!(
 choice!(
     /// How space beyond the scene's box is mapped.
     Contraction {
-        /// It is left out.
+        /// Space beyond the box is left out.
         None,
-        /// All of space is contracted into the box; a ball in its middle keeps its shape (mip-NeRF 360).
+        /// All of space is contracted into the box, except a ball in the middle of the box, which stays uncontracted
+        /// (mip-NeRF 360).
         Ball,
     }
 );
 choice!(
-    /// The renderers by name.
+    /// Names of the renderers.
     RendererKind {
-        /// Ray marching in uniform steps, and volume rendering.
+        /// Volume rendering with ray marching in uniform steps.
         Volume,
-        /// Pictures take few samples, where the model's proxy shows surfaces. Training, and rays for which the proxy is
-        /// unsure, use volume rendering.
+        /// Pictures are rendered with few samples, near the surfaces that the model's proxy shows. Training, and rays for
+        /// which the proxy is unsure, use volume rendering.
         Hybrid,
     }
 );
 choice!(
     /// How the hybrid renderer places samples.
     HybridRule {
-        /// By the weight that the proxy predicts for each step of a ray.
+        /// Where the proxy predicts weight for the steps of a ray.
         Weight,
-        /// A number of samples around each surface that a ray enters (paper).
+        /// A given number of samples around each surface that a ray enters (paper).
         Layers,
     }
 );
 choice!(
     /// How a pixel is divided into cones.
     ConePattern {
-        /// Into a grid of square parts.
+        /// Into a grid of square parts with one cone each.
         Grid,
-        /// Into five cones of its own width: in its centre and half-way to its corners.
+        /// Into five cones as wide as the pixel: one at its centre and four half-way to its corners.
         Quincunx,
     }
 );
 choice!(
-    /// Factors of the products whose sum is a tensor.
+    /// Factors of the products whose sum is a tensor (TensoRF).
     Decomposition {
-        /// Planes and the lines across them.
+        /// A plane and the line perpendicular to it.
         Vm,
         /// Three lines.
         Cp,
@@ -79,40 +80,40 @@ choice!(
     }
 );
 choice!(
-    /// How the colour network sees the viewing direction.
+    /// How the viewing direction is encoded for the colour network.
     ViewEncoding {
-        /// By real spherical harmonics.
+        /// Real spherical harmonics.
         Harmonics,
-        /// By its coordinates, and their sines and cosines at rising frequencies (NeRF, Eq. 4, without π).
+        /// The coordinates, and their sines and cosines at rising frequencies (NeRF, Eq. 4, without π).
         Frequencies,
     }
 );
 choice!(
-    /// Texels of a plane.
+    /// Number of texels along the sides of a plane.
     PlaneShape {
-        /// `plane_size` along both sides, whatever the box: the planes are stretched over it (paper).
+        /// `plane_size` along both sides: the planes are stretched over the box, whatever its shape (paper).
         Square,
-        /// `plane_size` along the longest side of the box, fewer along the others, so that texels are square.
+        /// `plane_size` along the longest side of the box and fewer along the other sides, so that texels are square.
         Box,
     }
 );
 choice!(
     /// What happens to a run that is predicted to need more memory than is available.
     MemoryChoice {
-        /// It does not begin.
+        /// The run does not begin.
         Refuse,
-        /// It begins with a warning.
+        /// The run begins with a warning.
         Warn,
     }
 );
 choice!(
     /// Whether a decision of the scene plan is taken.
     PlanChoice {
-        /// Unless the user set the value.
+        /// The decision is taken unless the user set a value that it decides.
         Auto,
-        /// Always, even for values that the user set; an error if it cannot be decided.
+        /// The decision is always taken, even for values that the user set. If it cannot be taken, the plan fails.
         On,
-        /// Never.
+        /// The decision is never taken.
         Off,
     }
 );
@@ -135,13 +136,13 @@ choice!(
     }
 );
 choice!(
-    /// Precision of the factors of the matrix products; sums and parameters are f32.
+    /// Precision of the operands of matrix products. Sums and parameters are f32.
     Precision {
         /// 24 significant bits.
         F32,
         /// 8 significant bits, for CPUs; twice as fast with AVX-512 BF16.
         Bf16,
-        /// 11 significant bits, up to 65,504, for GPUs with cooperative matrices.
+        /// 11 significant bits and numbers up to 65,504, for GPUs with cooperative matrices.
         F16,
     }
 );
@@ -158,7 +159,7 @@ choice!(
 choice!(
     /// Exposure of the training photographs.
     Exposure {
-        /// The same for all photographs.
+        /// All photographs have the same exposure.
         None,
         /// Each photograph has one gain per channel, see [`exposure`](crate::engine::exposure).
         Gain,
@@ -168,9 +169,9 @@ choice!(
 choice!(
     /// Treatment of the poses of training photographs.
     CameraPoses {
-        /// They stay as given.
+        /// Poses stay as given.
         Fixed,
-        /// They are trained with the model, see [`poses`](crate::engine::poses).
+        /// Poses are trained together with the model, see [`poses`](crate::engine::poses).
         Refine,
     }
 );
@@ -189,18 +190,18 @@ choice!(
     RateSchedule {
         /// By a factor at each milestone.
         Milestones,
-        /// Along half a cosine.
+        /// Along half a period of a cosine.
         Cosine,
-        /// Exponentially; restarts whenever an encoder that asks for it grows.
+        /// Exponentially. The decay restarts each time the encoder grows, if the encoder requests that.
         Exponential,
     }
 );
 choice!(
-    /// AdamW for texels without a gradient in a step.
+    /// How AdamW treats texels that have no gradient in a step.
     Untouched {
-        /// As for all others: the moments decay and the parameter is updated.
+        /// The same as with a gradient: the moments decay and the parameter is updated.
         Decay,
-        /// They are left unchanged.
+        /// Moments and parameters are left unchanged.
         Skip,
     }
 );

@@ -1,11 +1,11 @@
-//! The text form of a crop: the box or ball around a scene's subject to which meshes, films and viewers can be confined.
-//! World units.
+//! Crops as text. A crop is the box or ball around a scene's subject, in world units, to which meshes, films and viewers
+//! can be confined.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// Greatest absolute value of a coordinate, as of the corners of a scene's box.
+/// Greatest absolute value of a coordinate; the corners of a scene's box have the same limit.
 const FARTHEST: f64 = 1e9;
 
 /// Syntax of a crop, for messages.
@@ -16,7 +16,7 @@ pub const SYNTAX: &str =
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Crop {
-    /// All of it.
+    /// All of the world.
     #[default]
     None,
     /// An axis-aligned box.

@@ -1,5 +1,6 @@
-//! The definitions of settings: default, range, meaning, and whether a resumed run may change them. Core's are in the table
-//! `defaults.toml`. Other crates add [`ForeignSection`]s, whose tables have the same syntax and are inserted into core's.
+//! Definitions of settings: default, range, meaning, and whether a resumed run may change the setting. Core's definitions
+//! are in the table `defaults.toml`. Other crates add [`ForeignSection`]s: tables of the same syntax, which are inserted
+//! into core's.
 
 use crate::Result;
 use crate::config::range::Range;
@@ -19,17 +20,17 @@ const COLUMN: usize = 32;
 /// Consecutive settings of a section.
 #[derive(Clone, Copy, Debug)]
 pub struct Fragment {
-    /// Key that they follow; empty if they begin their section.
+    /// Key of the setting that the first of them follows; empty if they begin their section.
     pub after: &'static str,
     /// The settings, in the syntax of core's table.
     pub table: &'static str,
 }
 
-/// A section that a crate other than core owns, or the crate's settings in a section that it shares with core. Made from
-/// a [`Section`](crate::Section).
+/// A section that a crate other than core owns, or that crate's settings in a section that it shares with core.
+/// `ForeignSection::of` makes it from a [`Section`](crate::Section).
 #[derive(Clone, Copy)]
 pub struct ForeignSection {
-    /// Name, as between brackets.
+    /// Name, as written between brackets.
     pub name: &'static str,
     /// Its settings.
     pub fragments: &'static [Fragment],
@@ -37,14 +38,14 @@ pub struct ForeignSection {
     pub(crate) check: fn(&Table, &Checker<'_>) -> Result<()>,
 }
 
-/// A section of the table of settings; the settings above all sections have no name.
+/// A section of the table of settings. The settings above all sections form a section without a name.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DocumentedSection {
-    /// Name, as between brackets.
+    /// Name, as written between brackets.
     pub name: String,
     /// Meaning of the section.
     pub meaning: String,
-    /// True if other crates than core may add settings to it.
+    /// True if crates other than core may add settings to the section.
     pub shared: bool,
     /// True if a resumed run may change all of its settings.
     pub free: bool,
@@ -67,7 +68,7 @@ pub struct DocumentedSetting {
     pub free: bool,
 }
 
-/// Path of a setting of a crate other than core, and the key that it follows in its section.
+/// Path of a setting of a crate other than core, and the key of the setting that it follows in its section.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Placed {
     pub path: String,
@@ -82,7 +83,7 @@ pub(crate) struct Definition {
     pub free: bool,
 }
 
-/// The definitions of all settings of a program: core's, and those of the sections that the program registered.
+/// Definitions of all settings of a program: those of core and those of the sections that the program registered.
 pub struct Definitions {
     documented: Vec<DocumentedSection>,
     known: BTreeMap<String, Definition>,
@@ -92,17 +93,17 @@ pub struct Definitions {
     absent: Vec<&'static str>,
 }
 
-/// The definitions of core's settings alone.
+/// Definitions of core's settings only.
 static CORE_ALONE: LazyLock<Arc<Definitions>> = LazyLock::new(|| Arc::new(Definitions::new(&[], &[])));
 
 impl Definitions {
-    /// The definitions of core's settings alone.
+    /// Definitions of core's settings only.
     pub fn core() -> Arc<Self> {
         CORE_ALONE.clone()
     }
 
-    /// Core's settings and those of `sections`. Sections named in `absent` are those of crates that this build lacks: their
-    /// settings are kept as they are given, and nothing reads them.
+    /// Returns the definitions of core's settings and those of `sections`. `absent` names the sections of crates that this
+    /// build lacks: their settings are kept as given, and nothing reads them.
     pub fn new(sections: &[ForeignSection], absent: &[&'static str]) -> Self {
         let mut definitions = Self {
             documented: vec![DocumentedSection { meaning: "the run".into(), ..DocumentedSection::default() }],
@@ -118,7 +119,7 @@ impl Definitions {
         definitions
     }
 
-    /// Adds the settings of a table: at the end of their sections, or after the key `after` for those of other crates.
+    /// Adds the settings of a table to their sections: core's at the end, those of other crates after the key `after`.
     fn add(&mut self, table: &'static str, after: Option<&'static str>) {
         let (mut at, mut all_free, mut after) = (0, false, after.map(String::from));
         for item in items(table) {
@@ -160,7 +161,7 @@ impl Definitions {
         }
     }
 
-    /// Adds the definitions of `section`, unless they are registered already.
+    /// Returns these definitions with those of `section` added, unless the section is registered already.
     pub(crate) fn with(self: &Arc<Self>, section: ForeignSection) -> Arc<Self> {
         if self.registered.iter().any(|known| known.name == section.name) {
             return self.clone();
@@ -169,7 +170,7 @@ impl Definitions {
         Arc::new(Self::new(&all, &self.absent))
     }
 
-    /// Every setting with its default, its range and its meaning, as a configuration file.
+    /// Returns a configuration file that has every setting with its default, its range and its meaning.
     pub fn text(&self) -> String {
         let mut text = "# Every setting with its default. A configuration file names only the settings it changes; unknown keys are refused.\n\
             # \"1 to 8: ..\" is the range of a number, of each number of a list, or of the values in pairs [fraction of the run, value].\n\
@@ -191,53 +192,53 @@ impl Definitions {
         text
     }
 
-    /// The settings section by section.
+    /// Returns the settings, section by section.
     pub fn documented(&self) -> &[DocumentedSection] {
         &self.documented
     }
 
-    /// Dotted path and default of every setting, sorted by path.
+    /// Iterates over the dotted path and the default of every setting, sorted by path.
     pub(crate) fn defaults(&self) -> impl Iterator<Item = (&str, &Value)> {
         self.known.iter().map(|(path, definition)| (path.as_str(), &definition.default))
     }
 
-    /// The default of a setting, which has its type; `None` for unknown settings.
+    /// Returns the default of a setting, which also determines the setting's type; `None` for unknown settings.
     pub(crate) fn default(&self, path: &str) -> Option<&Value> {
         self.known.get(path).map(|definition| &definition.default)
     }
 
-    /// The range of a number.
+    /// Returns the range of a setting; `None` if it has none.
     pub(crate) fn range(&self, path: &str) -> Option<&Range> {
         self.known.get(path)?.range.as_ref()
     }
 
-    /// True for a setting that a resumed run may change.
+    /// Returns true for a setting that a resumed run may change.
     pub fn is_free(&self, path: &str) -> bool {
         self.known.get(path).is_some_and(|definition| definition.free)
     }
 
-    /// The sections of other crates than core.
+    /// Returns the registered sections of crates other than core.
     pub(crate) fn registered(&self) -> &[ForeignSection] {
         &self.registered
     }
 
-    /// The settings of other crates than core, in order.
+    /// Returns the settings of crates other than core, in order.
     pub(crate) fn placed(&self) -> &[Placed] {
         &self.placed
     }
 
-    /// True for a section that only other builds define.
+    /// Returns true for a section that only other builds define.
     pub(crate) fn is_absent(&self, section: &str) -> bool {
         self.absent.contains(&section)
     }
 
-    /// True for a section that may have settings beyond these definitions: a shared or an unknown one.
+    /// Returns true for a section that may have settings beyond these definitions, because it is shared or unknown.
     pub(crate) fn may_have_more(&self, section: &str) -> bool {
         self.documented.iter().find(|known| known.name == section).is_none_or(|known| known.shared)
     }
 }
 
-/// The definitions of a fragment: key and definition of each setting.
+/// Returns the key and the definition of each setting of a fragment.
 pub(crate) fn definitions_of(fragment: &Fragment) -> impl Iterator<Item = (String, Definition)> {
     items(fragment.table).into_iter().filter_map(|item| match item {
         Item::Setting { key, default, range, free, .. } => Some((key, Definition { default, range, free })),
@@ -257,7 +258,7 @@ impl DocumentedSection {
         self.settings.insert(at, setting);
     }
 
-    /// The settings as a table in Markdown.
+    /// Returns the settings as a table in Markdown.
     pub fn markdown(&self) -> String {
         let cell = |text: &str| ['|', '<', '[', '*'].iter().fold(text.to_string(), escaped);
         let mut table = "| setting | default | range | meaning |\n|---|---|---|---|\n".to_string();
@@ -269,7 +270,7 @@ impl DocumentedSection {
 }
 
 impl Definitions {
-    /// The page of all settings in Markdown.
+    /// Returns the page of all settings in Markdown.
     pub fn page(&self) -> String {
         let mut page = "# Settings\n\n\
             <!-- Generated from the tables of settings of all crates; TRIMIP_WRITE_DOCS=1 cargo test -p trimip generated renews it. -->\n\n\
@@ -339,7 +340,7 @@ mod tests {
         }
     }
 
-    /// The tables in the documentation of core's sections are up to date.
+    /// Checks that the tables in the documentation of core's sections are up to date.
     #[test]
     fn generated_tables_are_those_of_the_table_of_defaults() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/config/tables");

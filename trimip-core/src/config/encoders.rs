@@ -1,4 +1,4 @@
-//! Settings of the encoders: their names, the sections that belong to each, and the accepted ranges.
+//! Settings of the encoders: the encoders' names, the sections that belong to each of them, and the accepted ranges.
 
 use super::choices::{Decomposition, LevelFormula, PlaneShape};
 use super::sections::section;
@@ -8,7 +8,7 @@ use crate::{
 };
 use serde::{Deserialize, Serialize};
 
-/// The encoders by name.
+/// Names of the encoders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EncoderKind {
@@ -27,12 +27,12 @@ pub enum EncoderKind {
 }
 
 impl EncoderKind {
-    /// Name as in a configuration, in quotation marks.
+    /// Returns the name as a configuration writes it, in quotation marks.
     pub fn name(self) -> String {
         toml::Value::try_from(self).map_or_else(|_| format!("{self:?}"), |name| name.to_string())
     }
 
-    /// True for settings, by dotted path, that do not belong to another encoder.
+    /// Returns true if the setting with this dotted path does not belong to another encoder.
     pub fn takes(self, path: &str) -> bool {
         Self::owner(path).is_none_or(|owner| owner == self)
     }
@@ -89,7 +89,7 @@ section!(
     VoxelsConfig, "voxels" { sides: Schedule, harmonics: u32, density_rate: f64, color_rate: f64 }
 );
 
-/// Required form of a coarse-to-fine schedule, for errors.
+/// Required form of a coarse-to-fine schedule, for error messages.
 const FALLING: &str = "[[0.0, n], ... [fraction, 0]] with rising fractions below 1 and falling whole numbers";
 
 impl EncoderConfig {
@@ -103,7 +103,7 @@ impl EncoderConfig {
         )
     }
 
-    /// The number that `plane_size` must be a multiple of, so that every mip level and every halving is even.
+    /// Returns the unit of `plane_size`: multiples of it halve evenly for every mip level and every halving.
     pub fn texel_unit(&self) -> u32 {
         let halvings = self.halvings.values().fold(0.0, f64::max) as u32;
         1 << self.levels.saturating_sub(1).max(halvings).min(31)
@@ -118,7 +118,7 @@ impl HashGridConfig {
         to.check(self.inactive_levels.falls_to_zero(), "hash_grid.inactive_levels", FALLING)
     }
 
-    /// Number of levels, coarse to fine, that are in use at `progress` in [0, 1]; at least 1.
+    /// Returns the number of levels that are in use at `progress` in [0, 1], counted from the coarsest; at least 1.
     pub fn active_at(&self, progress: f64) -> u32 {
         self.levels.saturating_sub(self.inactive_levels.at(progress) as u32).max(1)
     }
@@ -148,7 +148,7 @@ impl VoxelsConfig {
     }
 }
 
-/// True if every piece has more grid points along a side than the one before.
+/// Returns true if the pieces cover the run and each has more grid points along a side than the piece before.
 fn rising(sides: &Schedule) -> bool {
     let values = || sides.values();
     sides.is_whole() && values().all(|side| side.fract() == 0.0) && values().is_sorted_by(|a, b| a < b)

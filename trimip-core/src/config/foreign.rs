@@ -1,4 +1,4 @@
-//! Settings of a configuration that crates other than core own: their values, and their places in its text.
+//! Settings of crates other than core in a configuration: their values, and their positions in the configuration's text.
 
 use super::Config;
 use crate::config::defaults::{Definitions, ForeignSection, Placed};
@@ -50,12 +50,12 @@ impl Foreign {
         }
     }
 
-    /// The definitions of the settings with which this configuration was made.
+    /// Returns the definitions with which this configuration was made.
     pub(super) fn definitions(&self) -> &Arc<Definitions> {
         &self.definitions
     }
 
-    /// The paths of the values.
+    /// Returns the paths of the values.
     pub(super) fn paths(&self) -> impl Iterator<Item = &String> {
         self.values.keys()
     }
@@ -66,7 +66,7 @@ impl Foreign {
         self.values.get(path).or_else(default)
     }
 
-    /// Puts the values into the text of core's settings, each at its place.
+    /// Inserts the values into the text of core's settings, each at its position.
     pub(super) fn put_into(&self, text: &str) -> String {
         let mut lines: Vec<String> = text.lines().map(String::from).collect();
         let carried = self.carried.iter().filter(|setting| self.definitions.default(&setting.path).is_none());
@@ -97,7 +97,7 @@ impl Config {
     /// Changes a section that another crate owns.
     ///
     /// # Errors
-    /// As [`section`](Self::section), and when a number does not fit into 63 bits.
+    /// Fails for the reasons of [`section`](Self::section), and if a number does not fit into 63 bits.
     pub fn change<S: Section>(&mut self, change: impl FnOnce(&mut S)) -> Result<()> {
         let mut section = self.section::<S>()?;
         change(&mut section);

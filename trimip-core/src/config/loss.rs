@@ -15,7 +15,7 @@ section!(
     }
 );
 
-/// The photometric terms by name.
+/// Names of the photometric terms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Photometric {

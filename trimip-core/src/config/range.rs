@@ -2,20 +2,20 @@
 
 use toml::Value;
 
-/// From the lowest to the highest number that a setting may have, both included.
+/// Range from the lowest to the highest number that a setting may have, both included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Range {
     low: f64,
     high: f64,
-    /// Both numbers, such as `0 to 1e9`.
+    /// Both limits as text, such as `0 to 1e9`.
     text: String,
 }
 
 impl Range {
-    /// The range from the first to the second number.
+    /// Returns the range from the first to the second number.
     ///
     /// # Panics
-    /// If these are not numbers, in this order.
+    /// If an end is not a number, or if the first is not below the second.
     pub(crate) fn new(ends: [Value; 2]) -> Self {
         let [low, high] = ends.each_ref().map(|end| match end {
             Value::Integer(number) => *number as f64,
@@ -26,14 +26,16 @@ impl Range {
         Self { low, high, text: ends.each_ref().map(written).join(" to ") }
     }
 
-    /// True if the range contains a number. A limit rounded to f32 still counts as the limit.
+    /// Returns true if the range contains `number`. A fraction that equals a limit when both are rounded to f32 counts as
+    /// the limit.
     fn contains(&self, number: f64) -> bool {
         let limit = |limit: f64| number as f32 == limit as f32;
         (self.low..=self.high).contains(&number)
             || number.fract() != 0.0 && (limit(self.low) || limit(self.high))
     }
 
-    /// True for a number in the range, a list of such numbers, and a list of pairs whose second numbers are in the range.
+    /// Returns true for a number in the range, for a list of such numbers, and for a list of pairs whose second numbers are
+    /// in the range.
     pub(crate) fn holds(&self, value: &Value) -> bool {
         match value {
             Value::Integer(number) => self.contains(*number as f64),
@@ -44,13 +46,13 @@ impl Range {
                 }
                 value => matches!(value, Value::Integer(_) | Value::Float(_)) && self.holds(value),
             }),
-            // `eval.final` takes a stride or a flag; no other setting with a range has a flag.
+            // `eval.final` takes a stride or a flag; no other setting with a range takes a flag.
             Value::Boolean(_) => true,
             _ => false,
         }
     }
 
-    /// Text of what is expected of a value, for an error.
+    /// Returns the text of the expected range, for an error about `value`.
     pub(crate) fn expected(&self, value: &Value) -> String {
         match value {
             Value::Array(_) => format!("{} for each value", self.text),
@@ -65,7 +67,7 @@ impl std::fmt::Display for Range {
     }
 }
 
-/// A number as people write it: large and small ones by powers of ten.
+/// Formats a number, with a power of ten for large and small floats.
 fn written(number: &Value) -> String {
     match number {
         Value::Float(number) if *number != 0.0 && (number.abs() <= 1e-3 || number.abs() >= 1e3) => {

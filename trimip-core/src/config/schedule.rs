@@ -3,36 +3,35 @@
 use serde::{Deserialize, Serialize};
 
 /// Pieces `[fraction, value]` with rising fractions; the first starts at 0. `[[0.0, 4.0], [0.5, 1.0]]` is 4 in the first
-/// half of a run and 1 in the second.
-/// Settings may give a single number instead: a constant.
+/// half of a run and 1 in the second. In settings, a single number stands for a constant schedule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Schedule(Vec<[f64; 2]>);
 
 impl Schedule {
-    /// A schedule of pieces; see [`Schedule::is_whole`].
+    /// Returns the schedule of these pieces without checking them; see [`Schedule::is_whole`].
     pub fn new(pieces: Vec<[f64; 2]>) -> Self {
         Self(pieces)
     }
 
-    /// The value at `progress` in [0, 1].
+    /// Returns the value at `progress` in [0, 1].
     pub fn at(&self, progress: f64) -> f64 {
         let begun = self.0.iter().take_while(|[fraction, _]| *fraction <= progress);
         begun.last().or(self.0.first()).map_or(0.0, |[_, value]| *value)
     }
 
-    /// Fraction of the run at which the piece at `progress` begins.
+    /// Returns the fraction of the run at which the piece at `progress` begins.
     pub fn since(&self, progress: f64) -> f64 {
         let begun = self.0.iter().take_while(|[fraction, _]| *fraction <= progress);
         begun.last().map_or(0.0, |[fraction, _]| *fraction)
     }
 
-    /// All values.
+    /// Iterates over the values of all pieces.
     pub fn values(&self) -> impl Iterator<Item = f64> {
         self.0.iter().map(|[_, value]| *value)
     }
 
-    /// True if the pieces cover a run: the first starts at 0, the others follow in order.
+    /// Returns true if the pieces cover a run: the first starts at 0, and the others follow at rising fractions below 1.
     pub fn is_whole(&self) -> bool {
         let fractions = || self.0.iter().map(|[fraction, _]| *fraction);
         fractions().next() == Some(0.0)
@@ -40,7 +39,7 @@ impl Schedule {
             && fractions().all(|f| (0.0..1.0).contains(&f))
     }
 
-    /// True if the pieces cover a run and their values are whole numbers that fall to 0.
+    /// Returns true if the pieces cover a run and their values are whole numbers that fall to 0.
     pub fn falls_to_zero(&self) -> bool {
         self.is_whole()
             && self.values().all(|value| value.fract() == 0.0)

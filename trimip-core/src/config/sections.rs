@@ -8,8 +8,8 @@ use super::crop::Crop;
 use crate::config::schedule::Schedule;
 use serde::{Deserialize, Serialize};
 
-/// Declares a section of the configuration: plain public fields, unknown keys refused. The meaning of each field is in the
-/// table of defaults, from which `tables/` is generated.
+/// Declares a section of the configuration: a struct with public fields, whose deserialisation refuses unknown keys. The
+/// meaning of each field is in the table of defaults, from which `tables/` is generated.
 macro_rules! section {
     ($(#[$meta:meta])* $name:ident, $table:literal { $($field:ident: $kind:ty),* $(,)? }) => {
         $(#[$meta])*
@@ -30,7 +30,7 @@ pub(crate) use section;
 
 section!(
     /// Core's settings of the photographs: their folder, their scales and the meaning of their pixels. `trimip-data` adds
-    /// settings of how photographs are read.
+    /// settings for reading photographs.
     PhotographsConfig, "data" {
         root: String, origin: Vec<f64>, scales: u32, convention: Convention, edge_exponents: Vec<f32>, background: [f32; 3],
     }
@@ -40,7 +40,8 @@ section!(
     SceneConfig, "scene" { aabb_min: [f32; 3], aabb_max: [f32; 3], contraction: Contraction, up: [f32; 3], crop: Crop }
 );
 section!(
-    /// Settings that the scene plan may derive from the data and the budget, and parts that it may leave out.
+    /// Decisions of the scene plan: settings that it may derive from the data and the budget, and parts that it may leave
+    /// out.
     PlanConfig, "plan" {
         aabb: PlanChoice, encoder: PlanChoice, background: PlanChoice, edges: PlanChoice, hull: PlanChoice, solids: PlanChoice, direction_delay: PlanChoice, surfaces: PlanChoice, density: PlanChoice, error_map: PlanChoice, coarse_to_fine: PlanChoice, depth: PlanChoice, crop: PlanChoice, schedule: PlanChoice, detail: PlanChoice, cones: PlanChoice, levels: PlanChoice, occupancy: PlanChoice, directions: PlanChoice, file: PlanChoice,
     }
@@ -99,7 +100,7 @@ section!(
 );
 
 impl PhotographsConfig {
-    /// Edge exponent of photographs reduced by `factor`, see [`edge_exponents`](crate::scene::edge_exponents).
+    /// Returns the edge exponent of photographs reduced by `factor`, see [`edge_exponents`](crate::scene::edge_exponents).
     pub fn edge_exponent(&self, factor: u32) -> f32 {
         self.edge_exponents.get(factor.trailing_zeros() as usize).copied().unwrap_or(0.0)
     }
@@ -109,7 +110,7 @@ impl PhotographsConfig {
 const CURVE_VIEWS: usize = 4;
 
 impl EvalConfig {
-    /// Stride of the final evaluation over the test views, `None` when there is none.
+    /// Returns the stride of the final evaluation over the test views; `None` if there is no final evaluation.
     pub fn final_stride(&self, frames: usize) -> Option<usize> {
         match self.r#final {
             FinalEval::Flag(true) => Some(self.stride_of(frames)),
@@ -118,7 +119,8 @@ impl EvalConfig {
         }
     }
 
-    /// Stride of the evaluations during training over `frames` test views: as configured, or one that gives about four.
+    /// Returns the stride of the evaluations during training over `frames` test views: the configured stride, or one that
+    /// gives about four views.
     pub fn stride_of(&self, frames: usize) -> usize {
         match self.stride {
             0 => (frames / CURVE_VIEWS).max(1),
@@ -128,7 +130,7 @@ impl EvalConfig {
 }
 
 impl TrainConfig {
-    /// Fraction of the training rays with a random background at `progress` in [0, 1].
+    /// Returns the fraction of the training rays that have a random background at `progress` in [0, 1].
     pub fn random_background(&self, progress: f64) -> f32 {
         match self.background {
             TrainBackground::Fixed => 0.0,

@@ -1,5 +1,5 @@
 //! Layers of settings: defaults, then a configuration file, then `--set a.b=c`. Each value keeps its origin. Keys that are
-//! not in the definitions are refused with file, line and column.
+//! not in the definitions are refused with an error that names file, line and column.
 
 pub(crate) mod checker;
 mod earlier;
@@ -22,12 +22,12 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 use values::{fit, is_plain, parsed, plain, shown};
 
-/// Where an effective value came from.
+/// Source of an effective value.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Origin {
     /// The table of defaults.
     Default,
-    /// `file:line:column`.
+    /// A configuration file: `file:line:column`.
     File(String),
     /// The command line.
     CommandLine,
@@ -53,21 +53,21 @@ impl std::fmt::Display for Origin {
 impl From<&str> for Origin {
     fn from(text: &str) -> Self {
         let known = [Self::Default, Self::CommandLine, Self::Code, Self::Plan];
-        // Its earlier name, in the reports of earlier versions.
+        // Reports of earlier versions name the command line `--set`.
         let text = if text == "--set" { "command line" } else { text };
         let found = known.into_iter().find(|origin| origin.to_string() == text);
         found.unwrap_or_else(|| Self::File(text.into()))
     }
 }
 
-/// Every setting by its dotted path, with its effective value and origin. Serialised as a table of sections.
+/// Effective values and origins of all settings, by dotted path. Serialised as a table of sections.
 #[derive(Clone)]
 pub struct Settings {
     definitions: Arc<Definitions>,
     entries: BTreeMap<String, (Value, Origin)>,
     /// Undefined settings, in the order in which they were given.
     carried: Vec<Placed>,
-    /// True if settings of other crates that these definitions lack are accepted and kept.
+    /// True if settings that are not in these definitions, because another crate owns them, are accepted and kept.
     carries: bool,
 }
 
@@ -84,12 +84,12 @@ impl Serialize for Settings {
 }
 
 impl Settings {
-    /// The defaults of core's settings alone; `trimip::settings::defaults` has those of all crates.
+    /// Returns core's settings only, with their defaults; `trimip::settings::defaults` has those of all crates.
     pub fn defaults() -> Self {
         Self::of(Definitions::core())
     }
 
-    /// The defaults of all settings that are defined.
+    /// Returns all defined settings with their defaults.
     pub fn of(definitions: Arc<Definitions>) -> Self {
         let defaults = definitions.defaults();
         let entries =
@@ -97,18 +97,18 @@ impl Settings {
         Self { definitions, entries, carried: Vec::new(), carries: false }
     }
 
-    /// Like [`of`](Self::of), but files may add settings of other crates that are not defined here. These settings are kept
-    /// unchanged; the crate that owns them checks them when it reads them.
+    /// Returns the same as [`of`](Self::of), but files may add settings of other crates that are not defined here. These
+    /// settings are kept unchanged; the crate that owns them checks them when it reads them.
     pub(crate) fn carrying(definitions: Arc<Definitions>) -> Self {
         Self { carries: true, ..Self::of(definitions) }
     }
 
-    /// The definitions of the settings.
+    /// Returns the definitions of the settings.
     pub fn definitions(&self) -> &Arc<Definitions> {
         &self.definitions
     }
 
-    /// The settings that were given without being defined, in order.
+    /// Returns the undefined settings that were given, in order.
     pub(crate) fn carried(&self) -> &[Placed] {
         &self.carried
     }
@@ -116,7 +116,7 @@ impl Settings {
     /// Applies the text of a configuration file; `name` is used in errors.
     ///
     /// # Errors
-    /// When the text is not TOML, a key is unknown or a value has another type; the error names line and column.
+    /// When the text is not TOML, a key is unknown or a value has the wrong type; the error names line and column.
     pub fn apply_file(&mut self, name: &str, text: &str) -> Result<()> {
         let table = DeTable::parse(text).map_err(|error| {
             let place = error.span().map_or(Place::from(name), |span| place(name, text, span.start));
@@ -146,7 +146,7 @@ impl Settings {
                 _ => self.put(&path, plain(value), place(name, text, start), origin())?,
             }
         }
-        // Sorted by their order in the text, in which they are written again.
+        // Undefined settings are sorted by their position in the text, because they are written again in that order.
         undefined.sort_by_key(|(start, ..)| *start);
         for (start, path, value) in undefined {
             let place = place(name, text, start);
@@ -169,7 +169,7 @@ impl Settings {
     /// Applies one `a.b=c` of the command line. A value that is not valid TOML is taken as a string.
     ///
     /// # Errors
-    /// When there is no `=`, the key is unknown or the value has another type.
+    /// When there is no `=`, the key is unknown or the value has the wrong type.
     pub fn apply_assignment(&mut self, assignment: &str) -> Result<()> {
         let place = Place::argument("set", assignment);
         let Some((path, text)) = assignment.split_once('=') else {
@@ -178,10 +178,10 @@ impl Settings {
         self.put(path.trim(), parsed(text), place, Origin::CommandLine)
     }
 
-    /// Applies a value set in code; for chaining.
+    /// Applies a value set in code and returns the settings, for chaining.
     ///
     /// # Errors
-    /// When there is no such setting or the value has another type.
+    /// When there is no such setting or the value has the wrong type.
     pub fn with(mut self, path: &str, value: impl Into<SettingValue>) -> Result<Self> {
         self.set(path, value)?;
         Ok(self)
@@ -190,7 +190,7 @@ impl Settings {
     /// Applies a value set in code.
     ///
     /// # Errors
-    /// When there is no such setting or the value has another type.
+    /// When there is no such setting or the value has the wrong type.
     pub fn set(&mut self, path: &str, value: impl Into<SettingValue>) -> Result<()> {
         self.put(path, value.into().0, "settings".into(), Origin::Code)
     }
@@ -198,23 +198,23 @@ impl Settings {
     /// Applies a decision of the scene plan; `value` is TOML text.
     ///
     /// # Errors
-    /// When there is no such setting or the value has another type.
+    /// When there is no such setting or the value has the wrong type.
     pub fn decide(&mut self, path: &str, value: &str) -> Result<()> {
         self.put(path, parsed(value), "scene plan".into(), Origin::Plan)
     }
 
-    /// The effective value of a setting as TOML text; empty if there is no such setting.
+    /// Returns the effective value of a setting as TOML text; empty if there is no such setting.
     pub fn value(&self, path: &str) -> String {
         self.get(path).map_or_else(String::new, shown)
     }
 
-    /// Where the effective value of a setting came from.
+    /// Returns the source of a setting's effective value.
     pub fn origin(&self, path: &str) -> &Origin {
         self.entries.get(path).map_or(&Origin::Default, |(_, origin)| origin)
     }
 
     /// Sets the origin of a setting's effective value; does nothing if there is no such setting. [`Origin::Default`] also
-    /// replaces the value by the default.
+    /// replaces the value with the default.
     pub fn set_origin(&mut self, path: &str, origin: Origin) {
         let Some((value, own)) = self.entries.get_mut(path) else { return };
         if origin == Origin::Default
@@ -286,7 +286,7 @@ impl Settings {
         ))
     }
 
-    /// True if a section takes undefined settings.
+    /// Returns true if a section takes undefined settings.
     fn carries_in(&self, section: &str) -> bool {
         let others = self.carries && self.definitions.may_have_more(section);
         !section.is_empty() && (others || self.definitions.is_absent(section))
@@ -311,14 +311,14 @@ impl Settings {
         Ok(())
     }
 
-    /// Dotted path, effective value and origin of every setting, sorted by path.
+    /// Iterates over the dotted path, effective value and origin of every setting, sorted by path.
     pub fn iter(&self) -> impl Iterator<Item = (&str, SettingValue, &Origin)> {
         self.entries
             .iter()
             .map(|(path, (value, origin))| (path.as_str(), SettingValue(value.clone()), origin))
     }
 
-    /// Path, value and origin of the setting at `path`, for an error.
+    /// Returns the path, value and origin of the setting at `path`, for an error.
     pub fn place(&self, path: &str) -> Place {
         match self.entries.get(path) {
             Some((value, origin)) => {
@@ -328,17 +328,17 @@ impl Settings {
         }
     }
 
-    /// The effective value of a setting.
+    /// Returns the effective value of a setting.
     pub(crate) fn get(&self, path: &str) -> Option<&Value> {
         self.entries.get(path).map(|(value, _)| value)
     }
 
-    /// The effective settings as one TOML table.
+    /// Returns the effective settings as one TOML table.
     pub(crate) fn table(&self) -> Table {
         self.table_of(self.entries.keys().map(String::as_str))
     }
 
-    /// The settings `paths` as one TOML table.
+    /// Returns the settings with these `paths` as one TOML table.
     pub(crate) fn table_of<'a>(&self, paths: impl Iterator<Item = &'a str>) -> Table {
         let mut table = Table::new();
         for (path, value) in paths.filter_map(|path| Some((path, self.get(path)?))) {
@@ -359,14 +359,14 @@ impl Settings {
     }
 }
 
-/// Each budget of a run, and the one it replaces.
+/// Each budget of a run, and the budget that it sets to 0.
 const BUDGETS: [[&str; 2]; 2] = [["train.seconds", "train.steps"], ["train.steps", "train.seconds"]];
 
 fn positive(value: &Value) -> bool {
     value.as_float().or(value.as_integer().map(|number| number as f64)).is_some_and(|number| number > 0.0)
 }
 
-/// `name:line:column` of a byte offset.
+/// Returns the place `name:line:column` of a byte offset in `text`.
 fn place(name: &str, text: &str, offset: usize) -> Place {
     let before = &text[..offset.min(text.len())];
     let line = before.matches('\n').count() + 1;
@@ -455,7 +455,7 @@ mod tests {
         assert_eq!(budget(&settings), ["0.0", "10"]);
         settings.apply_assignment("train.seconds=60").unwrap();
         assert_eq!(budget(&settings), ["60.0", "0"]);
-        // A whole configuration names both, one of them 0.
+        // A complete configuration names both budgets, one of them as 0.
         settings.apply_file("config.toml", "[train]\nseconds = 0.0\nsteps = 7\n").unwrap();
         assert_eq!(budget(&settings), ["0.0", "7"]);
     }

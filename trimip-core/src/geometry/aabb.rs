@@ -7,7 +7,7 @@ use crate::{
 };
 use glam::DVec3;
 
-/// A box, world units.
+/// An axis-aligned box, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb<R> {
     /// Lower corner.
@@ -17,7 +17,7 @@ pub struct Aabb<R> {
 }
 
 impl<R: Real> Aabb<R> {
-    /// The configured box.
+    /// Returns the configured box.
     pub fn new(scene: &SceneConfig) -> Self {
         Self {
             min: scene.aabb_min.map(|x| R::from_f64(x.into())),
@@ -25,34 +25,35 @@ impl<R: Real> Aabb<R> {
         }
     }
 
-    /// Side lengths.
+    /// Returns the side lengths.
     #[inline]
     pub fn extent(&self) -> [R; 3] {
         std::array::from_fn(|i| self.max[i] - self.min[i])
     }
 
-    /// The point in the middle.
+    /// Returns the centre.
     #[inline]
     pub fn centre(&self) -> [R; 3] {
         std::array::from_fn(|i| R::from_f64(0.5) * (self.min[i] + self.max[i]))
     }
 
-    /// Half of each side: from the centre to a face.
+    /// Returns half of each side: the distances from the centre to the faces.
     #[inline]
     pub fn half(&self) -> [R; 3] {
         self.extent().map(|side| R::from_f64(0.5) * side)
     }
 
-    /// Longest side.
+    /// Returns the longest side.
     pub fn longest(&self) -> R {
         let [x, y, z] = self.extent();
         x.max(y).max(z)
     }
 
-    /// Distances at which a ray enters (not before 0) and leaves the box; enter ≥ leave when it misses.
+    /// Returns the distances at which a ray enters the box (at least 0) and leaves it; enter ≥ leave if the ray misses the
+    /// box.
     ///
-    /// Slab method. A direction component of exactly zero is not divided by (0·∞ is NaN): the ray is inside that slab
-    /// everywhere or nowhere.
+    /// This is the slab method. It does not divide by a direction component of exactly zero, because 0·∞ is NaN: such a ray
+    /// is inside the slab everywhere or nowhere.
     #[inline]
     pub fn intersect(&self, origin: [R; 3], direction: [R; 3]) -> (R, R) {
         let (mut enter, mut leave) = (R::zero(), R::infinity());
@@ -74,7 +75,8 @@ impl<R: Real> Aabb<R> {
 }
 
 impl SceneConfig {
-    /// The box within which space keeps its shape: the scene's, or its middle half if space is contracted. World units.
+    /// Returns the scene's box or, if space is contracted, the box around the uncontracted ball: half as large, with the
+    /// same centre. World units.
     pub fn subject(&self) -> Aabb<f64> {
         let aabb = Aabb::<f64>::new(self);
         let fraction = match self.contraction {
@@ -91,13 +93,13 @@ impl SceneConfig {
 }
 
 impl Config {
-    /// World length of the uniform marching step: longest side · √3 / steps (code).
+    /// Returns the length of the uniform marching step in world units: longest side · √3 / steps (code).
     pub fn step_length(&self) -> f32 {
         Aabb::<f32>::new(&self.scene).longest() * 3.0_f32.sqrt() / self.renderer.steps_per_diagonal as f32
     }
 
-    /// This configuration with its box centred at the origin, and the centre of the original box. Far from the origin, f32
-    /// is too coarse for positions within the box.
+    /// Returns this configuration with its box centred at the origin, and the centre of the original box. Far from the
+    /// origin, f32 is too coarse for positions within the box.
     pub fn centred(&self) -> (Self, DVec3) {
         let scene = Aabb::<f64>::new(&self.scene);
         let centre: [f64; 3] = std::array::from_fn(|axis| 0.5 * (scene.min[axis] + scene.max[axis]));

@@ -8,7 +8,8 @@ use crate::math::scalar::Real;
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Image size, focal lengths and principal point in pixels, and lens. The lens' camera model defines what a focal length is.
+/// Image size, focal lengths and principal point (all in pixels), and the lens. The camera model of the lens defines the
+/// meaning of the focal lengths.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Width of the image.
@@ -29,15 +30,16 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Square pixels and a centred principal point; `angle_x` is the horizontal field of view in radians.
+    /// Returns intrinsics with square pixels and a centred principal point. `angle_x` is the horizontal field of view in
+    /// radians.
     pub fn from_angle(width: u32, height: u32, angle_x: f64) -> Self {
         let focal = 0.5 * f64::from(width) / (0.5 * angle_x).tan();
         let (cx, cy) = (0.5 * f64::from(width), 0.5 * f64::from(height));
         Self { width, height, fx: focal, fy: focal, cx, cy, ..Self::default() }
     }
 
-    /// This view with pixels `2^level` times larger. Rows and columns that do not fill a 2×2 block are cropped,
-    /// which leaves the geometry of the other pixels exact.
+    /// Returns the intrinsics of the same view with pixels `2^level` times as wide and high. Rows and columns that do not
+    /// fill one of these pixels are cropped, so the geometry of the other pixels stays exact.
     pub fn reduced(&self, level: u32) -> Self {
         let scale = f64::from(1_u32 << level);
         Self {
@@ -64,7 +66,7 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// All numbers of the camera. Two cameras are equal if and only if their numbers are.
+    /// Returns all numbers of the camera. Two cameras are equal if and only if these numbers are equal.
     pub fn numbers(&self) -> Vec<f64> {
         let Intrinsics { width, height, fx, fy, cx, cy, lens } = self.intrinsics;
         let plain = [width.into(), height.into(), fx, fy, cx, cy, f64::from(lens.model as u8)];
@@ -74,12 +76,12 @@ impl Camera {
     }
 }
 
-/// The cone of one pixel: apex, unit axis, and the terms of Eq. 3. The cone of parallel rays is a cylinder.
+/// The cone of one pixel: apex, unit axis, and the terms of Eq. 3. If rays are parallel, the cone is a cylinder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cone<R> {
-    /// Apex, world units: the centre of projection, or the place of the pixel where rays are parallel.
+    /// Apex, world units: the centre of projection or, if rays are parallel, the point where the pixel's ray begins.
     pub origin: [R; 3],
-    /// Radius of the sphere at `origin`, world units: 0 for an apex.
+    /// Radius of the sphere at `origin`, world units; 0 if rays are not parallel.
     pub radius: R,
     /// Unit direction of the axis, through the pixel's centre.
     pub direction: [R; 3],
@@ -90,39 +92,39 @@ pub struct Cone<R> {
 }
 
 impl<R: Real> Cone<R> {
-    /// Radius of the inscribed sphere at a distance along the axis.
+    /// Returns the radius of the inscribed sphere at distance `t` along the axis.
     #[inline]
     pub fn radius_at(&self, t: R) -> R {
         self.radius + self.slope * t
     }
 
-    /// True for the cone of a pixel that the camera has no ray for.
+    /// Returns true if the camera has no ray for the pixel.
     #[inline]
     pub fn is_none(&self) -> bool {
         self.slope == R::zero() && self.radius == R::zero()
     }
 }
 
-/// A cone in its camera's axes.
+/// A cone in the axes of its camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalCone<R> {
-    /// Where its ray begins: the origin, unless rays are parallel.
+    /// Point where the ray begins: zero, unless rays are parallel.
     pub origin: [R; 3],
-    /// Direction of the axis, of any length.
+    /// Direction of the axis; its length is arbitrary.
     pub axis: [R; 3],
-    /// One over the length of `axis`.
+    /// Reciprocal of the length of `axis`.
     pub inverse_length: R,
-    /// Radius of the sphere at `origin`: 0 for an apex.
+    /// Radius of the sphere at `origin`; 0 if rays are not parallel.
     pub radius: R,
     /// Growth of the inscribed sphere's radius per unit of distance along the axis (Eq. 3).
     pub slope: R,
-    /// Depth of a point of the axis over its distance: the cosine of the angle to the optical axis, or 1 where depth is
-    /// distance.
+    /// Depth divided by distance, for points on the axis: the cosine of the angle to the optical axis, or 1 if the camera
+    /// model defines depth as distance.
     pub cosine: R,
 }
 
 impl<R: Real> LocalCone<R> {
-    /// The cone through a disc of radius `disc` around (x, y), x right and y down, on the plane at distance 1.
+    /// Returns the cone through a disc of radius `disc` around (x, y), x right and y down, on the plane at distance 1.
     #[inline]
     pub(crate) fn through([x, y]: [R; 2], disc: R) -> Self {
         let v = -y;
@@ -138,7 +140,7 @@ impl<R: Real> LocalCone<R> {
         }
     }
 
-    /// The cone of a pixel that the camera has no ray for. It has no direction and meets nothing.
+    /// Returns the cone of a pixel for which the camera has no ray. It has no direction and meets nothing.
     pub(crate) fn none() -> Self {
         let zero = R::zero();
         Self {
@@ -151,7 +153,7 @@ impl<R: Real> LocalCone<R> {
         }
     }
 
-    /// True for the cone of a pixel that the camera has no ray for.
+    /// Returns true if the camera has no ray for the pixel.
     pub fn is_none(&self) -> bool {
         self.slope == R::zero() && self.radius == R::zero()
     }
@@ -165,19 +167,19 @@ impl Intrinsics {
         [(at[0] - real(self.cx)) / real(self.fx), (at[1] - real(self.cy)) / real(self.fy)]
     }
 
-    /// Radius, in focal lengths, of the disc with the area of a square of `side` pixels.
+    /// Returns the radius, in focal lengths, of the disc that has the area of a square of `side` pixels.
     #[inline]
     pub(crate) fn disc<R: Real>(&self, side: R) -> R {
         side * R::from_f64((std::f64::consts::PI * self.fx * self.fy).sqrt().recip())
     }
 
-    /// Number of pixels that the camera has no ray for.
+    /// Returns the number of pixels for which the camera has no ray.
     pub fn blind_pixels(&self) -> u64 {
         if self.lens.is_straight() {
             return 0;
         }
         let blind = |x: u32, y: u32| self.cone([f64::from(x) + 0.5, f64::from(y) + 0.5], 1.0).is_none();
-        // The domain has no holes: if the border is seen, all is seen.
+        // The domain has no holes: if every border pixel has a ray, every pixel has one.
         let (right, bottom) = (self.width.saturating_sub(1), self.height.saturating_sub(1));
         let border = (0..self.width).any(|x| blind(x, 0) || blind(x, bottom))
             || (0..self.height).any(|y| blind(0, y) || blind(right, y));
@@ -189,7 +191,7 @@ impl Intrinsics {
 }
 
 impl Camera {
-    /// True if a point of the world is in the picture.
+    /// Returns true if the image of a point of the world lies within the picture.
     pub fn sees(&self, point: DVec3) -> bool {
         let k = &self.intrinsics;
         let place = k.image_of(self.rotation.transpose() * (point - self.origin));
@@ -198,20 +200,21 @@ impl Camera {
         })
     }
 
-    /// A camera at `origin` that looks at `target`; `up` points upwards in the image.
+    /// Returns a camera at `origin` that looks at `target`; `up` points upwards in the image.
     pub fn look_at(intrinsics: Intrinsics, origin: DVec3, target: DVec3, up: DVec3) -> Self {
         let back = (origin - target).normalize();
         let right = up.cross(back).normalize();
         Self { intrinsics, rotation: DMat3::from_cols(right, back.cross(right), back), origin }
     }
 
-    /// The cone through the centre of pixel (`x`, `y`).
+    /// Returns the cone through the centre of pixel (`x`, `y`).
     #[inline]
     pub fn cone<R: Real>(&self, x: u32, y: u32) -> Cone<R> {
         self.cone_in(x, y, 0, PixelPattern::WHOLE)
     }
 
-    /// Cone number `index` of pixel (`x`, `y`). A grid is numbered row by row, the quincunx from its centre.
+    /// Returns cone number `index` of pixel (`x`, `y`). The cones of a grid are numbered row by row; the quincunx begins
+    /// with its centre.
     #[inline]
     pub fn cone_in<R: Real>(&self, x: u32, y: u32, index: u32, pattern: PixelPattern) -> Cone<R> {
         match pattern {
@@ -234,7 +237,7 @@ impl Camera {
         }
     }
 
-    /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
+    /// Returns the cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
     #[inline]
     pub fn cone_at<R: Real>(&self, at: [R; 2], side: R) -> Cone<R> {
         let LocalCone { origin: from, axis, inverse_length, radius, slope, cosine } =
@@ -257,12 +260,12 @@ impl Camera {
     }
 }
 
-/// Largest distance to the apex over the distance to the origin, see [`apex_distance`].
+/// Upper bound of the distance to the apex divided by the distance to the ray's origin, see [`apex_distance`].
 pub const FARTHEST_APEX: f64 = 32.0;
 
-/// Distance from the apex of a cone to the point at distance `t` along its axis; `radius` is that of the cone at the ray's origin.
-/// A cylinder gets an apex far behind its origin: for an interval of length δ around t, the moments of the cone's slice differ
-/// from the cylinder's by a share of (δ/64t)².
+/// Returns the distance from the apex of a cone to the point at distance `t` along its axis; `radius` is the cone's radius at the
+/// ray's origin. A cylinder gets an apex far behind its origin: for an interval of length δ around t, the moments of the cone's
+/// slice differ from the cylinder's by a fraction of (δ/64t)².
 #[inline(always)]
 pub fn apex_distance<R: Real>(radius: R, slope: R, t: R) -> R {
     let farthest = R::from_f64(FARTHEST_APEX);
@@ -275,7 +278,7 @@ pub fn apex_distance<R: Real>(radius: R, slope: R, t: R) -> R {
     }
 }
 
-/// Radius of the sphere inscribed in a cone per unit of distance along its axis (Eq. 3 with f = 1):
+/// Returns the radius of the sphere inscribed in a cone, per unit of distance along the cone's axis (Eq. 3 with f = 1):
 /// ṙ·cosθ / sqrt((tanθ − ṙ)² + 1), for disc radius ṙ and angle θ to the optical axis.
 pub fn sphere_slope<R: Real>(disc_radius: R, tangent: R, cosine: R) -> R {
     let inner = tangent - disc_radius;
@@ -287,8 +290,8 @@ mod tests {
     use super::*;
     use crate::geometry::projections::Model;
 
-    /// Eq. 3 as printed: r = ‖x−o‖·f·ṙ / (‖d‖·sqrt((sqrt(‖d‖²−f²) − ṙ)² + f²)), with d un-normalised to the image
-    /// plane.
+    /// Evaluates Eq. 3 as printed: r = ‖x−o‖·f·ṙ / (‖d‖·sqrt((sqrt(‖d‖²−f²) − ṙ)² + f²)), where d is the direction, not
+    /// normalised, to the image plane.
     fn equation_3(distance: f64, f: f64, disc: f64, d: f64) -> f64 {
         distance * f * disc / (d * (((d * d - f * f).max(0.0).sqrt() - disc).powi(2) + f * f).sqrt())
     }
@@ -314,8 +317,8 @@ mod tests {
 
     #[test]
     fn spheres_are_tangent_to_the_inner_edge_of_the_disc() {
-        // The line from the apex to the point of the disc nearest the optical axis is tangent to the sphere of Eq. 3:
-        // its distance to the sphere's centre is the radius.
+        // The line from the apex to the point of the disc nearest the optical axis is tangent to the sphere of Eq. 3: the
+        // line's distance to the sphere's centre is the radius.
         for tangent in [0.0_f64, 0.01, 0.3, 2.0] {
             let disc = 4e-3;
             let cosine = (1.0 + tangent * tangent).sqrt().recip();
@@ -355,7 +358,7 @@ mod tests {
 
     #[test]
     fn parts_of_a_pixel_are_the_pixels_of_a_finer_camera() {
-        // The 2×2 parts of a pixel are four pixels of a camera of twice the resolution.
+        // The 2×2 parts of a pixel are the four pixels of a camera with twice the resolution.
         let fine = Intrinsics {
             width: 26,
             height: 16,
@@ -388,7 +391,7 @@ mod tests {
         assert!((camera.rotation.determinant() - 1.0).abs() < 1e-12);
     }
 
-    /// Cameras with a phone's lens, a strong barrel and a fisheye.
+    /// Returns cameras with a phone's lens, a lens with strong barrel distortion, and a fisheye.
     fn lenses() -> Vec<Camera> {
         let lenses = [
             Lens::perspective([0.0578421, -0.0805099, 0.0, 0.0], [-0.000980296, 0.00015575], [0.0; 3]),
@@ -418,8 +421,9 @@ mod tests {
         }
     }
 
-    /// The footprint of a pixel: the solid angle between the axes of its corners. A perspective cone's inscribed sphere is
-    /// smaller than the circle of that solid angle by √cosθ, because its disc is seen at a slant.
+    /// Checks cones against the footprint of their pixels: the solid angle between the axes of a pixel's corners. A
+    /// perspective cone's inscribed sphere is smaller than the circle of that solid angle by a factor of √cosθ, because its
+    /// disc is seen at a slant.
     #[test]
     fn cones_have_the_size_of_their_pixels() {
         for camera in lenses() {
@@ -463,7 +467,7 @@ mod tests {
         let camera = Camera { intrinsics: k, rotation: DMat3::IDENTITY, origin: DVec3::ZERO };
         let blind = (0..1600).filter(|i| camera.cone::<f32>(i % 40, i / 40).slope == 0.0).count() as u64;
         assert_eq!(blind, k.blind_pixels());
-        // Rays end where the image has radius 2/3, which is 13.3 pixels.
+        // The lens has rays up to an image radius of 2/3, which is 13.3 pixels.
         let seen = (1600 - blind) as f64;
         assert!((seen / (std::f64::consts::PI * (20.0_f64 / 1.5).powi(2)) - 1.0).abs() < 0.05, "{seen}");
         assert_eq!(camera.cone::<f32>(0, 0).direction, [0.0; 3]);

@@ -4,7 +4,7 @@ use super::aabb::Aabb;
 use crate::config::Crop;
 
 impl Crop {
-    /// True if a point is in the crop or on its border.
+    /// Returns true if a point is in the crop or on its border.
     pub fn contains(&self, point: [f64; 3]) -> bool {
         match self {
             Self::None => true,
@@ -16,7 +16,7 @@ impl Crop {
         }
     }
 
-    /// The smallest box around the crop; `None` for all of the world.
+    /// Returns the smallest box around the crop; `None` if the crop is the whole world.
     pub fn bounds(&self) -> Option<Aabb<f64>> {
         match *self {
             Self::None => None,

@@ -9,34 +9,34 @@ use std::ops::Range;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Ray {
-    /// Apex, or where a cylinder begins; world units.
+    /// Apex of the cone, or the point where a cylinder begins; world units.
     pub origin: [f32; 3],
     /// Growth of the sphere's radius per unit of distance (Eq. 3).
     pub slope: f32,
     /// Unit direction.
     pub direction: [f32; 3],
-    /// Cosine to the optical axis; depth = distance · cosine.
+    /// Cosine of the angle to the optical axis; depth = distance · cosine.
     pub cosine: f32,
-    /// Radius of the sphere at `origin`, world units: 0 for an apex.
+    /// Radius of the sphere at `origin`, world units; 0 if rays are not parallel.
     pub radius: f32,
     /// Padding: WGSL aligns vectors of three floats to the size of four.
     pub padding: [f32; 3],
 }
 
 impl Ray {
-    /// Radius of the inscribed sphere at distance `t`.
+    /// Returns the radius of the inscribed sphere at distance `t`.
     #[inline(always)]
     pub fn radius_at(&self, t: f32) -> f32 {
         self.radius + self.slope * t
     }
 
-    /// Distance from the cone's apex to the point at distance `t` along the ray.
+    /// Returns the distance from the cone's apex to the point at distance `t` along the ray.
     #[inline(always)]
     pub fn apex_distance(&self, t: f32) -> f32 {
         apex_distance(self.radius, self.slope, t)
     }
 
-    /// True for a pixel that the camera has no ray for.
+    /// Returns true if the camera has no ray for the pixel.
     #[inline]
     pub fn is_none(&self) -> bool {
         self.slope == 0.0 && self.radius == 0.0
@@ -56,7 +56,8 @@ impl From<Cone<f32>> for Ray {
 pub struct Target {
     /// Colour of the photograph's pixel on the background.
     pub rgb: [f32; 3],
-    /// Weight of the pixel: its area, 4^level, divided by the probability of its scale and of the pixel relative to even drawing.
+    /// Weight of the pixel: its area, 4^level, divided by the probability of its scale, times `importance` and the share of the
+    /// pixel that counts; 0 if the lens has no ray for it.
     pub weight: f32,
     /// Background colour behind the ray.
     pub background: [f32; 3],
@@ -69,7 +70,7 @@ pub struct Target {
     /// Standard deviation of `distance`; 0 if no point is known.
     pub deviation: f32,
     /// Probability of the pixel if all pixels of its scale were equally likely, divided by its actual probability: 1 without
-    /// an [`ErrorMap`](crate::engine::error_map::ErrorMap). A factor of the weight.
+    /// an [`ErrorMap`](crate::engine::error_map::ErrorMap). It is a factor of `weight`.
     pub importance: f32,
 }
 
@@ -94,7 +95,7 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// The indices as a range.
+    /// Returns the indices as a range.
     #[inline]
     pub fn range(&self) -> Range<usize> {
         self.start as usize..(self.start + self.count) as usize
@@ -105,9 +106,9 @@ impl Segment {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Interval {
-    /// Distance of its midpoint along the ray's unit direction.
+    /// Distance of the interval's midpoint along the ray's unit direction.
     pub t: f32,
-    /// Its length δ.
+    /// Length δ of the interval.
     pub length: f32,
 }
 

@@ -1,25 +1,27 @@
-//! Lens distortion: how the image of a direction differs from that of a pinhole. (x, y) is an undistorted direction: the point
-//! where it meets the plane at distance 1, x right and y down; for a fisheye, a vector that points the same way and is as long
-//! as the angle to the optical axis. (X, Y) is the direction's image in units of the focal lengths.
+//! Lens distortion: how the image of a direction differs from its image in a pinhole camera. (x, y) stands for an undistorted
+//! direction, x right and y down. For a perspective lens it is the point where the direction meets the plane at distance 1.
+//! For a fisheye it is the vector towards that point whose length is the angle to the optical axis. (X, Y) is the image of the
+//! direction relative to the principal point, in units of the focal lengths.
 //!
 //! With r² = x² + y² and f = (1 + k₁r² + k₂r⁴ + k₃r⁶ + k₄r⁸) / (1 + d₁r² + d₂r⁴ + d₃r⁶):
 //!
 //! X = x·f + 2p₁xy + p₂(r² + 2x²) + s₁r², Y = y·f + p₁(r² + 2y²) + 2p₂xy + s₂r².
 //!
-//! These are the models of OpenCV, COLMAP and nerfstudio: a perspective lens has k₁ to k₃, p₁, p₂ and d₁ to d₃ (OpenCV's k₄ to
-//! k₆) or k₄ (nerfstudio), a fisheye k₁ to k₄, COLMAP's thin-prism fisheye also p₁, p₂, s₁ and s₂.
+//! These are the models of OpenCV, COLMAP and nerfstudio. A perspective lens has k₁ to k₃, p₁ and p₂, and in addition either
+//! d₁ to d₃ (OpenCV's k₄ to k₆) or k₄ (nerfstudio's). A fisheye has k₁ to k₄; COLMAP's thin-prism fisheye also has p₁, p₂, s₁
+//! and s₂.
 
 use crate::geometry::projections::Model;
 use crate::math::scalar::Real;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Most steps of Newton's method. Lenses converge within five or so.
+/// Largest number of steps of Newton's method. Lenses converge within about five.
 pub const MOST_ROUNDS: u32 = 24;
 
-/// Largest radius at which a perspective lens is examined: 84 degrees.
+/// Undistorted radius up to which the domain of a perspective lens is searched: 84 degrees.
 const WIDEST: f64 = 10.0;
 
-/// Steps in which the domain of a lens is searched.
+/// Number of steps in the search for the domain of a lens.
 const DOMAIN_STEPS: u32 = 4096;
 
 /// The camera model of a lens, and its distortion.
@@ -36,7 +38,7 @@ pub struct Lens {
     pub tangential: [f64; 2],
     /// s₁, s₂.
     pub prism: [f64; 2],
-    /// Undistorted radius up to which the lens maps circles one to one; it has no rays beyond.
+    /// Undistorted radius up to which larger circles have larger images. The lens has no rays beyond it.
     domain: f64,
 }
 
@@ -49,7 +51,7 @@ pub struct Unbent<R> {
     pub area: R,
 }
 
-/// Reads a model by its name, or from the flag of a fisheye.
+/// Reads a model from its name, or from the flag `fisheye`.
 fn model_or_flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Model, D::Error> {
     #[derive(Deserialize)]
     #[serde(untagged)]
@@ -65,27 +67,27 @@ fn model_or_flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Model, D:
 }
 
 impl Lens {
-    /// A perspective lens; coefficients that a model does not have are 0.
+    /// Returns a perspective lens; coefficients that a model does not have are 0.
     pub fn perspective(radial: [f64; 4], tangential: [f64; 2], denominator: [f64; 3]) -> Self {
         Self { radial, denominator, tangential, ..Self::default() }.with_domain()
     }
 
-    /// A fisheye with OpenCV's coefficients, and the thin prism of COLMAP's model.
+    /// Returns a fisheye with OpenCV's coefficients and the thin prism of COLMAP's model.
     pub fn fisheye(radial: [f64; 4], tangential: [f64; 2], prism: [f64; 2]) -> Self {
         Self { model: Model::Fisheye, radial, tangential, prism, ..Self::default() }.with_domain()
     }
 
-    /// A lens of this model without distortion.
+    /// Returns a lens of this model without distortion.
     pub fn of(model: Model) -> Self {
         Self { model, ..Self::default() }.with_domain()
     }
 
-    /// The lens without distortion: a pinhole for a model that has coefficients, otherwise the same model.
+    /// Returns the lens without distortion: a pinhole if its model has coefficients, otherwise the same model.
     pub fn without_distortion(&self) -> Self {
         if self.model.definition().distorted { Self::default() } else { Self::of(self.model) }
     }
 
-    /// The lens with `by` added to k₁.
+    /// Returns the lens with `by` added to k₁.
     pub(crate) fn with_more_k1(mut self, by: f64) -> Self {
         if by == 0.0 {
             return self;
@@ -94,7 +96,7 @@ impl Lens {
         self.with_domain()
     }
 
-    /// True if the lens bends nothing: a pinhole.
+    /// Returns true for a pinhole: a perspective lens without distortion.
     pub fn is_straight(&self) -> bool {
         self.model == Model::Perspective
             && [&self.radial[..], &self.denominator, &self.tangential, &self.prism]
@@ -102,12 +104,12 @@ impl Lens {
                 .all(|part| part.iter().all(|&k| k == 0.0))
     }
 
-    /// The largest undistorted radius that has rays.
+    /// Returns the largest undistorted radius that has rays.
     pub fn domain(&self) -> f64 {
         self.domain
     }
 
-    /// Finds the domain: the radius up to which the image of a circle grows with the circle.
+    /// Finds the domain: the undistorted radius up to which larger circles have larger images.
     fn with_domain(mut self) -> Self {
         if self.is_straight() {
             return Self::default();
@@ -124,7 +126,7 @@ impl Lens {
         self
     }
 
-    /// f and its derivative by r².
+    /// Returns f and its derivative with respect to r².
     fn factor<R: Real>(&self, r2: R) -> [R; 2] {
         let real = R::from_f64;
         let [k1, k2, k3, k4] = self.radial.map(real);
@@ -137,7 +139,7 @@ impl Lens {
         [above / below, (above_slope * below - above * below_slope) / (below * below)]
     }
 
-    /// Image of undistorted coordinates, and its derivatives [[∂X/∂x, ∂X/∂y], [∂Y/∂x, ∂Y/∂y]].
+    /// Returns the image of undistorted coordinates, and its derivatives [[∂X/∂x, ∂X/∂y], [∂Y/∂x, ∂Y/∂y]].
     pub fn bend<R: Real>(&self, [x, y]: [R; 2]) -> ([R; 2], [[R; 2]; 2]) {
         let real = R::from_f64;
         let ([p1, p2], [s1, s2]) = (self.tangential.map(real), self.prism.map(real));
@@ -156,11 +158,11 @@ impl Lens {
         (image, derivatives)
     }
 
-    /// Largest factor by which lengths around a point of the plane at distance 1 grow in the image.
+    /// Returns the largest factor by which the image stretches lengths around a point of the plane at distance 1.
     pub fn stretch(&self, [x, y]: [f64; 2]) -> f64 {
         let (at, inner) = if self.model == Model::Fisheye {
             let radius = x.hypot(y);
-            // Angles grow less than tangents in every direction.
+            // The map from the plane to angles scales lengths by at most this fraction, in every direction.
             let fraction = if radius > 0.0 { radius.atan() / radius } else { 1.0 };
             ([x * fraction, y * fraction], fraction)
         } else {
@@ -172,13 +174,14 @@ impl Lens {
         inner * (0.5 * (sum + (sum * sum - 4.0 * area * area).max(0.0).sqrt())).sqrt()
     }
 
-    /// The undistorted coordinates of an image, by Newton's method. `None` where the lens has no ray: outside of its
-    /// domain, and where the method does not converge.
+    /// Finds the undistorted coordinates of an image by Newton's method. Returns `None` if the lens has no ray there:
+    /// outside of its domain, or if the method does not converge.
     pub fn unbend<R: Real>(&self, image: [R; 2]) -> Option<Unbent<R>> {
         let domain = R::from_f64(self.domain);
         let scale = R::one() + image[0].abs() + image[1].abs();
         let enough = R::from_f64(8.0) * R::epsilon() * scale;
-        // The image of a point lies in about the same direction as the point; a start within the domain stays near it.
+        // The image of a point lies in about the same direction as the point, so the search starts at the image, moved into
+        // the domain.
         let radius = image[0].hypot(image[1]);
         let shrink = if radius > domain { domain / radius } else { R::one() };
         let mut at = image.map(|c| c * shrink);
@@ -208,7 +211,7 @@ impl Lens {
 mod tests {
     use super::*;
 
-    /// A phone's lens (the fox photographs), a strong barrel, a rational model, and fisheyes.
+    /// Returns a phone's lens (the fox photographs), a lens with strong barrel distortion, a rational model, and fisheyes.
     fn lenses() -> Vec<Lens> {
         vec![
             Lens::perspective([0.0578421, -0.0805099, 0.0, 0.0], [-0.000980296, 0.00015575], [0.0; 3]),
@@ -220,7 +223,7 @@ mod tests {
         ]
     }
 
-    /// Places of a lens' domain.
+    /// Returns points within a fraction of the domain of a lens.
     fn places(lens: &Lens, fraction: f64) -> Vec<[f64; 2]> {
         let radius = fraction * lens.domain().min(1.2);
         (0..80)

@@ -1,5 +1,5 @@
-//! Rules of the binary occupancy grid (instant-ngp, Appendix C): the cells of an update, their decay and the
-//! threshold. Cells are numbered x + R·(y + R·z); coordinates are those of the unit box.
+//! Rules of the binary occupancy grid (instant-ngp, Appendix C): the choice of the cells to update, the decay of their
+//! densities, and the threshold. At resolution R, cells are numbered x + R·(y + R·z). Positions are in the unit box.
 
 use crate::{
     config::OccupancyConfig,
@@ -9,20 +9,20 @@ use crate::{
     },
 };
 
-/// Cell of a position in the unit box. A position outside is assigned to the nearest cell.
+/// Returns the cell of a position in the unit box; for a position outside, the nearest cell.
 #[inline]
 pub fn cell_of(position: [f32; 3], resolution: u32) -> u32 {
     let [x, y, z] = position.map(|p| ((p * resolution as f32) as u32).min(resolution - 1));
     x + resolution * (y + resolution * z)
 }
 
-/// Integer coordinates of a cell.
+/// Returns the integer coordinates of a cell.
 #[inline]
 pub fn coordinates(cell: u32, resolution: u32) -> [u32; 3] {
     [cell % resolution, cell / resolution % resolution, cell / (resolution * resolution)]
 }
 
-/// A random point of a cell, in the unit box.
+/// Returns a random point of a cell, in the unit box.
 #[inline]
 pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32; 3] {
     let offset = random.uniform(Sequence::Point, step, cell);
@@ -30,7 +30,7 @@ pub fn point_in(cell: u32, resolution: u32, random: &Random, step: u64) -> [f32;
     std::array::from_fn(|axis| (corner[axis] as f32 + offset[axis]) / resolution as f32)
 }
 
-/// A unit direction from 32 random bits, uniform on the sphere. The upper half of the bits gives the height, the
+/// Returns a unit direction from 32 random bits, uniform on the sphere. The upper half of the bits gives the height, the
 /// lower half the angle.
 #[inline]
 pub fn direction_of(bits: u32) -> [f32; 3] {
@@ -41,8 +41,8 @@ pub fn direction_of(bits: u32) -> [f32; 3] {
     [radius * cosine, radius * sine, height]
 }
 
-/// The cells of one update. Each cell is decided by its own hash. The fraction `fraction` of all cells is drawn
-/// uniformly, plus occupied cells up to the same fraction of the grid. No cell is drawn twice.
+/// The cells of one update. A hash of each cell decides whether the cell is drawn. A share `fraction` of all cells is drawn
+/// uniformly, and occupied cells are drawn in addition, up to the same share of the grid. No cell is drawn twice.
 #[derive(Clone, Copy, Debug)]
 pub struct Choice {
     draws: Draws,
@@ -51,13 +51,14 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// The choice of a `fraction` of the cells by the random numbers of a step, if `occupied` of `cells` cells are occupied.
+    /// Chooses a `fraction` of all `cells` with the random numbers `draws` of a step; `occupied` is the number of occupied
+    /// cells.
     pub fn new(draws: Draws, fraction: f32, occupied: usize, cells: usize) -> Self {
         let occupied_probability = fraction * cells as f32 / occupied.max(1) as f32;
         Self { draws, fraction, occupied_probability }
     }
 
-    /// True if `cell` is updated.
+    /// Returns true if `cell` is updated.
     #[inline]
     pub fn includes(&self, cell: u32, occupied: bool) -> bool {
         if self.fraction >= 1.0 {
@@ -68,19 +69,20 @@ impl Choice {
     }
 }
 
-/// A cell's running maximum of density·step after an update: max(decay·old, new).
+/// Returns a cell's running maximum of density·step after an update: max(decay·old, new).
 #[inline]
 pub fn decayed(old: f32, new: f32, decay: f32) -> f32 {
     (decay * old).max(new)
 }
 
-/// Mean of the densities of all cells that are not [`OUTSIDE`].
+/// Returns the mean of the densities of all cells that are not [`OUTSIDE`].
 pub fn mean(densities: &[f32]) -> f64 {
     let inside = || densities.iter().filter(|density| **density >= 0.0);
     inside().map(|&density| f64::from(density)).sum::<f64>() / inside().count().max(1) as f64
 }
 
-/// Occupancy threshold: min(mean over the grid, `threshold`). Cells above it are occupied.
+/// Returns the occupancy threshold: the mean over the grid, but at most the configured `threshold`. Cells above it are
+/// occupied.
 pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
     (mean as f32).min(config.threshold)
 }
@@ -88,7 +90,8 @@ pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
 /// Density of a cell outside of the visual hull: it is never probed and never occupied.
 pub const OUTSIDE: f32 = -1.0;
 
-/// The bits of a grid of half the resolution, which must be even. A cell is occupied if any of its eight children is.
+/// Returns the bits of a grid of half the `resolution`, which must be even. A coarse cell is occupied if any of its eight
+/// children is.
 pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {
     let half = resolution / 2;
     let mut coarse = vec![0; (half as usize).pow(3).div_ceil(8)];

@@ -1,7 +1,7 @@
-//! Sets of cells or bricks as bits: eight of them to a byte, the first in the lowest bit. Model files and devices exchange
+//! Sets of cells or bricks, stored as bits: eight to a byte, the first in the lowest bit. Model files and devices exchange
 //! occupancy in this form.
 
-/// True if the set holds `index`.
+/// Returns true if the set holds `index`.
 ///
 /// # Panics
 /// If the bytes end before `index`.
@@ -12,7 +12,7 @@ pub fn is_set(bits: &[u8], index: usize) -> bool {
 /// Adds `index` to the set.
 ///
 /// # Panics
-/// As [`is_set`].
+/// If the bytes end before `index`.
 pub fn set(bits: &mut [u8], index: usize) {
     bits[index / 8] |= 1 << (index % 8);
 }
@@ -20,12 +20,12 @@ pub fn set(bits: &mut [u8], index: usize) {
 /// Removes `index` from the set.
 ///
 /// # Panics
-/// As [`is_set`].
+/// If the bytes end before `index`.
 pub fn clear(bits: &mut [u8], index: usize) {
     bits[index / 8] &= !(1 << (index % 8));
 }
 
-/// The set of the indices in `0..count` for which `holds` is true; the bits behind the last one are 0.
+/// Returns the set of the indices in `0..count` for which `holds` is true; the bits after the last index are 0.
 pub fn of(count: usize, holds: impl Fn(usize) -> bool) -> Vec<u8> {
     let mut bits = vec![0; count.div_ceil(8)];
     (0..count).filter(|&index| holds(index)).for_each(|index| set(&mut bits, index));

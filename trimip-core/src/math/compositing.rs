@@ -15,7 +15,7 @@ pub struct Composite<R> {
 }
 
 impl<R: Real> Composite<R> {
-    /// [r, g, b, opacity].
+    /// Returns [r, g, b, opacity].
     pub fn channels(&self) -> [R; 4] {
         let [r, g, b] = self.rgb;
         [r, g, b, self.opacity]
@@ -25,23 +25,24 @@ impl<R: Real> Composite<R> {
 /// Upper bound of a colour: a field without networks can have colours above 1.
 pub const BRIGHTEST: f64 = 1024.0;
 
-/// Weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance after it.
-/// `exp_m1` computes α, so that thin samples keep their relative accuracy.
+/// Returns the weight of a sample of optical depth `depth` behind transmittance `transmittance`, and the transmittance
+/// behind the sample. `exp_m1` computes α, so that thin samples keep their relative accuracy.
 #[inline]
 pub fn weight<R: Real>(transmittance: R, depth: R) -> (R, R) {
     let alpha = -(-depth).exp_m1();
     (transmittance * alpha, transmittance * (-depth).exp())
 }
 
-/// Selects the samples that get a colour. Samples behind an opaque one are dropped. A faint sample merges with the next sample of
-/// its ray.
+/// Rule that selects the samples that get a colour. Samples behind an opaque one are dropped. A faint sample merges with the next
+/// sample of its ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pruning<R> {
-    /// Samples behind more optical depth than this are dropped: −ln of the minimum transmittance, or of the minimum
-    /// weight if that is larger, because no weight exceeds the transmittance before it.
+    /// Optical depth behind which samples are dropped: −ln of the minimum transmittance, or of the minimum weight if that
+    /// is larger, because no weight exceeds the transmittance in front of its sample.
     pub max_depth: R,
-    /// Samples merge until their weight T·(1 − exp(−Σ x)) is at least this. The last of them is kept, with the optical
-    /// depth of all. Faint samples left at the end of a ray together have less weight than this, and are dropped.
+    /// Weight up to which samples merge: they merge until T·(1 − exp(−Σ x)) reaches it. The last of the merged samples is
+    /// kept, with the optical depth of all of them. Faint samples left at the end of a ray have less weight than this
+    /// together, and are dropped.
     pub min_weight: R,
 }
 
@@ -50,30 +51,31 @@ pub struct Pruning<R> {
 pub struct Passed<R> {
     /// Optical depth of the kept samples, merged ones included.
     pub depth: R,
-    /// Optical depth of the faint samples since the last kept one. They merge with the next kept one.
+    /// Optical depth of the faint samples since the last kept sample. They merge with the next kept sample.
     pub faint: R,
-    /// Optical depth below which a sample behind `depth` is faint: its weight there is the minimum weight.
+    /// Optical depth below which a sample behind `depth` is faint. A sample of exactly this optical depth has the minimum
+    /// weight.
     least: R,
 }
 
 /// Decision about a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Visibility<R> {
-    /// It is kept, and represents an interval this many times as long as its own: at least 1.
+    /// The sample is kept. It represents an interval that is this many times (at least 1) as long as its own.
     Keep(R),
-    /// It is dropped, and merges with the next one.
+    /// The sample is dropped, and its optical depth is added to the next sample.
     Merge,
-    /// It is dropped with all samples behind it.
+    /// The sample and all samples behind it are dropped.
     Terminate,
 }
 
 impl<R: Real> Pruning<R> {
-    /// The rule for a minimum transmittance and a minimum weight.
+    /// Returns the rule for a minimum transmittance and a minimum weight.
     pub fn new(min_transmittance: R, min_weight: R) -> Self {
         Self { max_depth: -min_transmittance.max(min_weight).ln(), min_weight }
     }
 
-    /// The state of a ray behind kept samples of total optical depth `depth`. A ray begins with 0.
+    /// Returns the state of a ray behind kept samples with a total optical depth of `depth`. A ray begins with 0.
     #[inline]
     pub fn behind(&self, depth: R) -> Passed<R> {
         // T·(1 − exp(−x)) = min_weight, solved for x, with T = exp(−depth).
@@ -81,7 +83,7 @@ impl<R: Real> Pruning<R> {
         Passed { depth, faint: R::zero(), least }
     }
 
-    /// Decides about a sample of optical depth `depth`, and adds the sample to `passed`.
+    /// Decides whether a sample of optical depth `depth` is kept, and adds the sample to `passed`.
     #[inline]
     pub fn decide(&self, passed: &mut Passed<R>, depth: R) -> Visibility<R> {
         if passed.depth > self.max_depth {
@@ -99,8 +101,8 @@ impl<R: Real> Pruning<R> {
     }
 }
 
-/// True if a sample of optical depth `depth` has at least the weight `least`; `before` is the optical depth before it, and
-/// grows by its own.
+/// Returns true if a sample of optical depth `depth` has at least the weight `least`. `before` is the optical depth in
+/// front of the sample; the function adds the sample's own to it.
 #[inline]
 pub fn is_lit<R: Real>(before: &mut R, depth: R, least: R) -> bool {
     let transmittance = (-*before).exp();
@@ -109,7 +111,7 @@ pub fn is_lit<R: Real>(before: &mut R, depth: R, least: R) -> bool {
     !(weight(transmittance, depth).0 < least)
 }
 
-/// Composites samples of optical depth, colour and distance, front to back.
+/// Composites samples, given as optical depth, colour and distance, front to back.
 #[inline]
 pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, background: [R; 3]) -> Composite<R> {
     let (mut rgb, mut opacity, mut distance) = ([R::zero(); 3], R::zero(), R::zero());
@@ -131,15 +133,15 @@ pub fn composite<R: Real>(samples: impl Iterator<Item = (R, [R; 3], R)>, backgro
     Composite { rgb, opacity: opacity.min(R::one()), distance }
 }
 
-/// Gradient of a loss with respect to each sample, given its gradient with respect to the `pixel` [r, g, b, opacity]:
-/// calls `out(i, ∂L/∂x_i, ∂L/∂c_i)` front to back, for samples (x_i, c_i) given by index.
+/// Computes the gradient of a loss with respect to each sample from the loss' `gradient` with respect to the `pixel` [r, g,
+/// b, opacity]. Calls `out(i, ∂L/∂x_i, ∂L/∂c_i)` front to back; `sample(i)` returns (x_i, c_i).
 ///
-/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: what the sample shows minus what it hides. Opacity is the
-/// fourth channel, 1 for every sample and 0 for the background.
+/// ∂C/∂x_i = T_{i+1}·c_i − Σ_{k>i} w_k·c_k − T_end·background: the colour that the sample shows minus the colours that it
+/// hides. Opacity is the fourth channel, 1 for every sample and 0 for the background.
 ///
 /// The sum behind a sample is computed by subtraction, which leaves a rounding error behind an opaque sample. The true sum is at most
-/// the transmittance times the brightest colour, and the computed one is clamped to this bound. Without the bound, an opaque sample has
-/// a gradient of that error times its density.
+/// the transmittance times the brightest colour, so the computed one is clamped to this bound. Without the clamp, an opaque sample
+/// would have a gradient of that error times its density.
 #[inline]
 pub fn composite_gradient<R: Real>(
     count: usize,
@@ -256,8 +258,8 @@ mod tests {
         let depths = [0.04, 1.0, 0.0625, 3.0, 2.0, 0.1];
         let mut passed = pruning.behind(0.0);
         let seen = depths.map(|depth| pruning.decide(&mut passed, depth));
-        // Weights 0.039, 1 − e^-1.04 = 0.647, e^-1.04·0.061 = 0.021, e^-1.04·0.95 = 0.34; then the transmittance e^-4.1 = 0.017
-        // bounds them.
+        // The weights are 0.039, 1 − e^-1.04 = 0.647, e^-1.04·0.061 = 0.021 and e^-1.04·0.95 = 0.34. The transmittance behind
+        // these samples, e^-4.1 = 0.017, is below the minimum weight.
         assert_eq!(seen, [Merge, Keep(1.04), Merge, Keep(3.0625 / 3.0), Terminate, Terminate]);
         let mut passed = pruning.behind(2.9);
         let opaque = pruning.decide(&mut passed, 9.0);
@@ -270,7 +272,8 @@ mod tests {
         assert_eq!(all.decide(&mut all.behind(1e30), 1.0), Keep(1.0));
     }
 
-    /// However thin a medium is cut, its samples merge to the same opacity, up to faint samples at the end below the minimum weight.
+    /// Checks that the samples of a medium merge to the same opacity, however thin they are, up to faint samples at the end below
+    /// the minimum weight.
     #[test]
     fn merging_keeps_the_optical_depth_of_fog() {
         for (count, total) in [(10_u32, 0.3), (1000, 0.3), (1000, 2.0), (100_000, 0.02)] {
@@ -290,7 +293,8 @@ mod tests {
         }
     }
 
-    /// The gradient of an opaque sample goes to 0, even multiplied by its depth: no rounding error may make it grow.
+    /// Checks that the gradient of an opaque sample goes to 0, even multiplied by the sample's optical depth: no rounding
+    /// error may make it grow.
     #[test]
     fn opaque_samples_have_no_gradient() {
         for depth in [30.0_f32, 1e3, 1e8, 1e30] {

@@ -1,5 +1,5 @@
 //! Formulas independent of scenes and devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3),
-//! spherical harmonics, counter-based random numbers, sets of bits, bases across a direction, functions of
+//! spherical harmonics, counter-based random numbers, sets of bits, unit vectors perpendicular to a direction, functions of
 //! symmetric matrices, rounding.
 
 pub mod basis;

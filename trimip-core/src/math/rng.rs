@@ -30,12 +30,12 @@ pub struct Random {
 }
 
 impl Random {
-    /// The generator of a seed.
+    /// Creates the generator of a seed.
     pub fn new(seed: u64) -> Self {
         Self { seed: [seed as u32, (seed >> 32) as u32] }
     }
 
-    /// The numbers of a sequence at a step: the part of the hash that is common to all indices.
+    /// Returns the numbers of a sequence at a step. They hold the part of the hash that is common to all indices.
     #[inline]
     pub fn at(&self, sequence: Sequence, step: u64) -> Draws {
         let key = self.seed[1].wrapping_mul(0x9e37_79b9) ^ (sequence as u32).wrapping_mul(0x85eb_ca6b);
@@ -43,13 +43,13 @@ impl Random {
         Draws(pcg4d([self.seed[0] ^ key, step as u32, (step >> 32) as u32, sequence as u32]))
     }
 
-    /// Four independent 32-bit numbers for (`sequence`, `step`, `index`).
+    /// Returns four independent 32-bit numbers for (`sequence`, `step`, `index`).
     #[inline]
     pub fn bits(&self, sequence: Sequence, step: u64, index: u32) -> [u32; 4] {
         self.at(sequence, step).bits(index)
     }
 
-    /// Four independent numbers in [0, 1), multiples of 2^−24.
+    /// Returns four independent numbers in [0, 1), multiples of 2^−24.
     #[inline]
     pub fn uniform(&self, sequence: Sequence, step: u64, index: u32) -> [f32; 4] {
         self.bits(sequence, step, index).map(unit)
@@ -61,12 +61,12 @@ impl Random {
 pub struct Draws([u32; 4]);
 
 impl Draws {
-    /// State from which a device draws the same numbers.
+    /// Returns the state from which a device draws the same numbers.
     pub fn words(&self) -> [u32; 4] {
         self.0
     }
 
-    /// Four independent 32-bit numbers for `index`.
+    /// Returns four independent 32-bit numbers for `index`.
     #[inline]
     pub fn bits(&self, index: u32) -> [u32; 4] {
         let [x, y, z, w] = self.0;
@@ -74,19 +74,19 @@ impl Draws {
     }
 }
 
-/// The upper 24 bits as a number in [0, 1).
+/// Converts the upper 24 bits to a number in [0, 1).
 #[inline]
 pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// A number in 0..count from 32 random bits (multiply-shift; bias below count/2^32).
+/// Converts 32 random bits to a number in 0..count (multiply-shift; bias below count/2^32).
 #[inline]
 pub fn below(bits: u32, count: u32) -> u32 {
     ((u64::from(bits) * u64::from(count)) >> 32) as u32
 }
 
-/// Hash of four words to four (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
+/// Hashes four words to four words (Jarzynski and Olano, Hash Functions for GPU Rendering, 2020).
 #[inline]
 fn pcg4d(v: [u32; 4]) -> [u32; 4] {
     let mix = |[mut x, mut y, mut z, mut w]: [u32; 4]| {
@@ -109,7 +109,7 @@ mod tests {
         let count = 100_000;
         let draws: Vec<[f32; 4]> = (0..count).map(|i| random.uniform(Sequence::Pixel, 3, i)).collect();
         let mean = |f: &dyn Fn(&[f32; 4]) -> f64| draws.iter().map(f).sum::<f64>() / f64::from(count);
-        // Standard error of a mean of uniforms: 0.29/√n = 0.0009; of a product of centred ones: 0.083/√n.
+        // The standard error of a mean is 0.29/√n = 0.0009 for uniform numbers and 0.083/√n for products of centred ones.
         for a in 0..4 {
             assert!((mean(&|d| d[a].into()) - 0.5).abs() < 0.004);
             assert!((mean(&|d| (f64::from(d[a]) - 0.5).powi(2)) - 1.0 / 12.0).abs() < 0.002);

@@ -1,11 +1,12 @@
 //! Rounding in vector registers.
 
-/// 2²³. Numbers from here on have no fractions in f32.
+/// 2²³: from this number on, f32 has no fractions.
 const WHOLE: f32 = 8_388_608.0;
 
-/// ⌊x⌋ of 0 ≤ x < 2²³ as a number and as an integer. Other arguments, and NaN, give arbitrary results.
+/// Returns ⌊x⌋ for 0 ≤ x < 2²³, as a float and as an integer. Other arguments, including NaN, give arbitrary results.
 ///
-/// `x as u32` is a chain of scalar instructions because it saturates. Sums and comparisons are vector instructions on every processor.
+/// `x as u32` saturates, so it compiles to a chain of scalar instructions. Sums and comparisons are vector instructions on every
+/// processor.
 #[inline(always)]
 pub fn floor(x: f32) -> (f32, u32) {
     let nearest = (x + WHOLE) - WHOLE;

@@ -1,4 +1,4 @@
-//! Real spherical harmonics up to degree 4 (16 values): the colour network's encoding of the viewing direction.
+//! Real spherical harmonics of the bands l = 0 to 3 (16 values): the colour network's encoding of the viewing direction.
 
 use crate::math::scalar::Real;
 
@@ -20,7 +20,7 @@ pub const FACTORS: [f64; 11] = [
     1.445_305_721_320_277,
 ];
 
-/// The 16 basis functions at a unit direction, in the order and sign common in the field (l from 0, m from −l).
+/// Returns the 16 basis functions at a unit direction, in the usual order (l from 0, m from −l) and with the usual signs.
 #[inline]
 pub fn spherical_harmonics<R: Real>(direction: [R; 3]) -> [R; COUNT] {
     let [x, y, z] = direction;

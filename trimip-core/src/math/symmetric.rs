@@ -1,10 +1,10 @@
 //! Powers of a symmetric positive definite matrix.
 
-/// Sweeps of Jacobi rotations; a matrix of six rows is diagonal to the last bit after about six.
+/// Number of sweeps of Jacobi rotations. A matrix with six rows is diagonal to the last bit after about six sweeps.
 const SWEEPS: usize = 12;
 
-/// A symmetric positive definite matrix `a` to the powers −1/2 and 1/2, by Jacobi's eigenvalue method (Golub and Van Loan,
-/// section 8.5).
+/// Returns the powers −1/2 and 1/2 of a symmetric positive definite matrix `a`, by Jacobi's eigenvalue method (Golub and
+/// Van Loan, section 8.5).
 pub fn inverse_root_and_root<const N: usize>(a: [[f64; N]; N]) -> [[[f64; N]; N]; 2] {
     let (values, vectors) = eigen(a);
     [-0.5, 0.5].map(|power| {
@@ -15,7 +15,7 @@ pub fn inverse_root_and_root<const N: usize>(a: [[f64; N]; N]) -> [[[f64; N]; N]
     })
 }
 
-/// Eigenvalues of a symmetric matrix, and the eigenvectors as columns.
+/// Returns the eigenvalues of a symmetric matrix, and the eigenvectors as columns.
 pub fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
     let mut vectors = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
     for _ in 0..SWEEPS {
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn the_roots_multiply_to_the_matrix_and_to_one() {
-        // BᵀB + 0.01 of some numbers: positive definite, with eigenvalues of different sizes.
+        // BᵀB + 0.01·I for an arbitrary matrix B: positive definite, with eigenvalues of different sizes.
         let b: [[f64; 6]; 6] = std::array::from_fn(|i| {
             std::array::from_fn(|j| (((7 * i + 3 * j * j + 5) % 11) as f64 - 5.0) * 10_f64.powi(j as i32 - 3))
         });

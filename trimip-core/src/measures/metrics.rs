@@ -1,4 +1,4 @@
-//! Image metrics on RGB values in [0, 1]: PSNR, and SSIM of Wang et al. 2004 (Gaussian window 11, σ = 1.5, K1 = 0.01,
+//! Image metrics on RGB values in [0, 1]: PSNR, SSIM of Wang et al. 2004 (a Gaussian window of 11 taps, σ = 1.5, K1 = 0.01,
 //! K2 = 0.03, channels averaged, borders left out as in the original), and MS-SSIM at five scales.
 
 mod ms_ssim;
@@ -7,20 +7,21 @@ mod ssim;
 pub use ms_ssim::{LEAST_SIDE, ms_ssim};
 pub use ssim::ssim;
 
-/// −10·log10 of the mean squared error over pixels and channels, dB; infinite for equal images.
-/// Values are clipped to [0, 1], not rounded.
+/// Returns −10·log10 of the mean squared error over pixels and channels, in dB; infinite for equal images. Values are
+/// clipped to [0, 1], not rounded.
 pub fn psnr(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     psnr_of_error(mean_squared_error(image, target))
 }
 
-/// PSNR of colours rounded to 8 bits, as in a picture file.
+/// Returns the PSNR of colours rounded to 8 bits, as in a picture file.
 pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     let rounded: Vec<[f32; 3]> =
         image.iter().map(|rgb| rgb.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() / 255.0)).collect();
     psnr(&rounded, target)
 }
 
-/// PSNR of the best constant image for `target`, its mean colour, dB: the level of a model that learned nothing else.
+/// Returns the PSNR, in dB, of the best constant image for `target`, its mean colour: the level of a model that learned
+/// nothing else.
 pub fn psnr_of_constant(target: &[[f32; 3]]) -> f64 {
     let count = target.len().max(1) as f64;
     let values = |c: usize| target.iter().map(move |rgb| f64::from(rgb[c].clamp(0.0, 1.0)));
@@ -31,12 +32,12 @@ pub fn psnr_of_constant(target: &[[f32; 3]]) -> f64 {
     psnr_of_error(variance.sum::<f64>() / 3.0)
 }
 
-/// PSNR of a mean squared error, dB.
+/// Returns the PSNR of a mean squared error, in dB.
 pub fn psnr_of_error(mean_squared_error: f64) -> f64 {
     -10.0 * mean_squared_error.log10()
 }
 
-/// Mean over pixels and channels of the squared difference of clipped values.
+/// Returns the mean over pixels and channels of the squared difference of clipped values.
 pub fn mean_squared_error(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     assert_eq!(image.len(), target.len(), "images of one size");
     let sum: f64 = image
@@ -70,7 +71,7 @@ mod tests {
 
     #[test]
     fn rounding_to_8_bits_is_a_picture_files() {
-        // Rounding changes a value by half a byte at most; values outside of [0, 1] are clipped.
+        // Rounding changes a value by at most half a step of 1/255; values outside of [0, 1] are clipped.
         let target = [[0.0, 0.5, 1.0]];
         let image = [[-0.2, 127.6 / 255.0, 1.3]];
         let expected = ((128.0 / 255.0 - 0.5_f64).powi(2) / 3.0).log10() * -10.0;

@@ -11,33 +11,33 @@ pub struct Pair<'a> {
     pub rendered: &'a [[f32; 3]],
     /// The photograph.
     pub target: &'a [[f32; 3]],
-    /// Pixels of a row.
+    /// Width in pixels.
     pub width: usize,
-    /// Number of rows.
+    /// Height in pixels.
     pub height: usize,
-    /// Whether each pixel is left out of the comparison; empty if none is.
+    /// True for each pixel that is left out of the comparison; empty if none is.
     pub excluded: &'a [bool],
 }
 
-/// Measures of a pair; NaN is a measure that was not taken.
+/// Measures of a pair; NaN stands for a measure that was not taken.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PerceptualScores {
     /// Structural similarity at five scales ([`ms_ssim`](crate::measures::metrics::ms_ssim)).
     pub ms_ssim: f64,
     /// Mean LDR-FLIP error over the pixels that are compared, 0 (equal) to 1.
     pub flip: f64,
-    /// LPIPS distance, 0 (equal) and up.
+    /// LPIPS distance, 0 (equal) or more.
     pub lpips: f64,
     /// LDR-FLIP error of each pixel, row by row; 0 where nothing is compared.
     pub flip_map: Option<Vec<f32>>,
 }
 
 impl PerceptualScores {
-    /// Nothing was measured.
+    /// All numbers are NaN: nothing was measured.
     pub const NOTHING: Self = Self { ms_ssim: f64::NAN, flip: f64::NAN, lpips: f64::NAN, flip_map: None };
 }
 
-/// Takes the perceptual measures.
+/// Computation of the perceptual measures.
 pub trait Perception {
     /// Measures a pair.
     ///

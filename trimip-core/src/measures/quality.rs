@@ -7,54 +7,56 @@ use crate::{
 };
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Loss of PSNR on the opposite background above which a warning is given, dB.
+/// PSNR lost on the opposite background, in dB, above which a warning is given.
 const SHINES_THROUGH: f64 = 1.0;
 
 /// Upper limit for the PSNR of a view, dB: a view that equals its photograph must not make the mean infinite.
 pub const MOST_PSNR: f64 = 100.0;
 
-/// The PSNR, limited to [`MOST_PSNR`]; NaN stays NaN.
+/// Returns the PSNR, limited to [`MOST_PSNR`]; NaN stays NaN.
 pub fn capped(psnr: f64) -> f64 {
     if psnr > MOST_PSNR { MOST_PSNR } else { psnr }
 }
 
-/// Floats for JSON: infinite and NaN values are written as `null` and read back as NaN.
+/// Reads a float from JSON, in which infinite and NaN values are written as `null`. `null` is read as NaN.
 pub(crate) fn float_or_null<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> std::result::Result<f64, D::Error> {
     Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
-/// A value that was not measured.
+/// Returns NaN, for a value that was not measured.
 fn unknown() -> f64 {
     f64::NAN
 }
 
 /// Measures of a picture, or their means over several pictures. PSNR is −10·log10(mean squared error) in dB, on [0, 1]
-/// values that were not rounded. NaN is a value that was not measured.
+/// values that were not rounded. NaN stands for a value that was not measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
-    /// dB, as the photographs of the set show silhouettes ([`edge_exponents`](crate::scene::edge_exponents)).
+    /// PSNR in dB, with silhouettes as the photographs of the set show them
+    /// ([`edge_exponents`](crate::scene::edge_exponents)).
     #[serde(deserialize_with = "float_or_null")]
     pub psnr: f64,
-    /// dB, of colours rounded to 8 bits.
+    /// PSNR in dB of colours rounded to 8 bits.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_8bit: f64,
-    /// dB, on the opposite background (see [`opposite`](crate::run::evaluate::opposite)); transparency lowers it.
+    /// PSNR in dB on the opposite background (see [`opposite`](crate::run::evaluate::opposite)); transparency lowers it.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_opposite: f64,
-    /// dB, without the edge exponent of the set (`data.edge_exponents`): a physically right picture against its photograph.
+    /// PSNR in dB without the edge exponent of the set (`data.edge_exponents`), which compares a physically correct picture
+    /// with its photograph.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_plain: f64,
-    /// dB, against a true box filter of the finest photograph.
+    /// PSNR in dB against a true box filter of the finest photograph.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_box: f64,
-    /// dB, at the exposure of the photograph, which each half of the picture takes from the other
+    /// PSNR in dB at the exposure of the photograph, which each half of the picture takes from the other half
     /// ([`exposed_by_the_other_half`](crate::engine::exposure::exposed_by_the_other_half)).
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_exposed: f64,
-    /// dB, of the photograph's mean colour instead of the rendering: the result of a model that has learned nothing. Means
-    /// over views average the squared errors, not the dB.
+    /// PSNR in dB of the photograph's mean colour in place of the rendering: the result of a model that has learned
+    /// nothing. Means over views average the squared errors, not the dB.
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub psnr_constant: f64,
     /// Structural similarity.
@@ -66,13 +68,13 @@ pub struct Measures {
     /// Mean LDR-FLIP error, 0 (equal) to 1 ([`perception`](crate::measures::perception)).
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub flip: f64,
-    /// LPIPS distance, 0 (equal) and up ([`perception`](crate::measures::perception)).
+    /// LPIPS distance, 0 (equal) or more ([`perception`](crate::measures::perception)).
     #[serde(default = "unknown", deserialize_with = "float_or_null")]
     pub lpips: f64,
 }
 
 impl Measures {
-    /// Nothing was measured.
+    /// All numbers are NaN: nothing was measured.
     pub const UNKNOWN: Self = Self {
         psnr: f64::NAN,
         psnr_8bit: f64::NAN,
@@ -87,7 +89,8 @@ impl Measures {
         lpips: f64::NAN,
     };
 
-    /// The mean of each measure; NaN without elements. Perceptual measures are averaged over the elements that have them.
+    /// Returns the mean of each measure; NaN without elements. Perceptual measures are averaged over the elements that have
+    /// them.
     pub fn mean(all: &[Self]) -> Self {
         let mean = |measure: fn(&Self) -> f64| all.iter().map(measure).sum::<f64>() / all.len() as f64;
         let of_some = |measure: fn(&Self) -> f64| {
@@ -109,12 +112,13 @@ impl Measures {
         }
     }
 
-    /// True if a perceptual measure was taken.
+    /// Returns true if a perceptual measure was taken.
     pub fn has_perceptual(&self) -> bool {
         [self.ms_ssim, self.flip, self.lpips].iter().any(|value| !value.is_nan())
     }
 
-    /// False for a model that failed to learn: its PSNR is NaN, or less than `gain` dB above that of the mean colours.
+    /// Returns false for a model that failed to learn: its PSNR is NaN, or less than `gain` dB above the PSNR of the mean
+    /// colours.
     pub fn learned(&self, gain: f64) -> bool {
         self.psnr >= MOST_PSNR || (self.psnr.is_finite() && !(self.psnr < self.psnr_constant + gain))
     }
@@ -122,7 +126,7 @@ impl Measures {
     /// Fails if the model learned nothing or misses the configured quality floor.
     ///
     /// # Errors
-    /// Of kind `Run`, with the measured value and the limit.
+    /// The error is of kind `Run` and holds the measured value and the limit.
     pub fn judge(&self, eval: &EvalConfig) -> Result<()> {
         if self.psnr.is_nan() {
             return Err(Error::run(
@@ -146,7 +150,7 @@ impl Measures {
         Ok(())
     }
 
-    /// A warning about a model that is transparent where the photographs are opaque, with a remedy.
+    /// Returns a warning, with a remedy, about a model that is transparent where the photographs are opaque.
     pub fn remark(&self, remedy: Remedy) -> Option<String> {
         let advice = match remedy {
             Remedy::Opacity => "loss.opacity = 0.1 trains solid models that hide every background".to_string(),
@@ -167,18 +171,18 @@ impl Measures {
 /// Remedy for a model through which the background shines.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Remedy {
-    /// The term `loss.opacity`, which compares with the alpha of the photographs.
+    /// The term `loss.opacity`, which compares opacity with the alpha of the photographs.
     #[default]
     Opacity,
-    /// Photographs of a place with more pixels: with few, opaque rays end in front of the cameras, and the plan leaves
-    /// `loss.opacity` out.
+    /// More or larger photographs of a place: with few pixels, opaque rays would end in front of the cameras, so the plan
+    /// leaves `loss.opacity` out.
     Photographs,
     /// Longer training, or a weight of `loss.opacity` above this one.
     Training(f32),
 }
 
 impl Remedy {
-    /// The remedy for a model of this configuration.
+    /// Returns the remedy for a model of this configuration.
     pub fn of(config: &Config) -> Self {
         match (config.scene.contraction, config.loss.opacity) {
             (_, weight) if weight > 0.0 => Self::Training(weight),
@@ -193,7 +197,7 @@ impl Remedy {
 pub struct ViewQuality {
     /// Index of the frame in the test split.
     pub index: usize,
-    /// Reduction of the view: 1, 2, 4, 8.
+    /// Reduction factor of the view: 1, 2, 4 or 8.
     pub scale: u32,
     /// Its measures.
     #[serde(flatten)]
@@ -203,7 +207,7 @@ pub struct ViewQuality {
 /// Measures of one scale, means over its images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScaleQuality {
-    /// Reduction of the images: 1, 2, 4, 8.
+    /// Reduction factor of the images: 1, 2, 4 or 8.
     pub scale: u32,
     /// Number of images.
     pub images: usize,
@@ -215,7 +219,7 @@ pub struct ScaleQuality {
     pub measures: Measures,
 }
 
-/// Means per scale, fine to coarse, over the frames whose index is a multiple of `stride`.
+/// Returns the means per scale, fine to coarse, over the frames whose index is a multiple of `stride`.
 pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> {
     let mut scales: Vec<u32> = qualities.iter().map(|quality| quality.scale).collect();
     scales.sort_unstable();
@@ -236,7 +240,7 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
         .collect()
 }
 
-/// Means over the scales, with equal weight: the headline.
+/// Returns the means over the scales, with equal weights: the headline figures.
 pub fn mean_quality(scales: &[ScaleQuality]) -> Measures {
     Measures::mean(&scales.iter().map(|scale| scale.measures).collect::<Vec<_>>())
 }

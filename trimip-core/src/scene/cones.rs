@@ -1,6 +1,6 @@
-//! The number of cones of a pixel. One prefiltered cone suits a pixel about as wide as a texel. Wider spheres blur along the
-//! ray as much as across it, and the network's output for averaged features is not the average of its outputs. A wider pixel
-//! is therefore the mean of several cones.
+//! Number of cones per pixel. One prefiltered cone suits a pixel about as wide as a texel. The spheres of a wider cone blur
+//! along the ray as much as across it, and the network's output for averaged features is not the average of its outputs. A
+//! wider pixel is therefore the mean of several cones.
 
 pub use crate::geometry::cone_pattern::PixelPattern;
 
@@ -19,7 +19,7 @@ pub struct Division {
 }
 
 impl Division {
-    /// The rule of a configuration, in the coordinates of its box.
+    /// Returns the rule of a configuration, in the coordinates of its box.
     pub fn new(config: &Config) -> Self {
         Self {
             most: config.renderer.cones,
@@ -29,12 +29,13 @@ impl Division {
         }
     }
 
-    /// The cones of a pixel of `camera`: 1 to `renderer.cones` along each side, or the quincunx.
+    /// Returns the cones of a pixel of `camera`: 1 to `renderer.cones` along each side, or the quincunx.
     pub fn pattern(&self, camera: &Camera) -> PixelPattern {
         self.pattern_of(footprint(camera, &self.aabb))
     }
 
-    /// The cones of a pixel at each scale of a training set, fine to coarse, by the median footprint of its views.
+    /// Returns the cones of a pixel at each scale of a training set, fine to coarse. The median footprint of a scale's
+    /// views determines the cones.
     pub fn patterns(&self, views: &ViewSet) -> Vec<PixelPattern> {
         let of = |scale: usize| {
             let width = median_footprint(views, scale, &self.aabb);
@@ -46,7 +47,7 @@ impl Division {
     fn pattern_of(&self, footprint: f64) -> PixelPattern {
         match self.pattern {
             ConePattern::Quincunx => PixelPattern::Quincunx,
-            // A width of 0 gives infinity, and the conversion saturates.
+            // A width of 0 gives an infinite quotient, which the conversion saturates.
             ConePattern::Grid => {
                 PixelPattern::Grid(((footprint / self.width).round() as u32).clamp(1, self.most))
             }
@@ -54,15 +55,16 @@ impl Division {
     }
 }
 
-/// World width of a pixel of `camera` in the middle of the box. The distance is taken as at least a quarter of the box's
-/// longest side, for cameras within the box.
+/// Returns the world width of a pixel of `camera` in the middle of the box. For cameras within the box, the distance counts
+/// as at least a quarter of the box's longest side.
 pub fn footprint(camera: &Camera, aabb: &Aabb<f64>) -> f64 {
     let middle = DVec3::from_array(aabb.centre());
     let distance = (camera.origin - middle).length().max(0.25 * aabb.longest());
     camera.intrinsics.footprint(distance)
 }
 
-/// Median of [`footprint`] over the views of a scale; `None` without views, or if the median is not a positive number.
+/// Returns the median of [`footprint`] over the views of a scale; `None` without views, or if the median is not a positive
+/// number.
 pub fn median_footprint(views: &ViewSet, scale: usize, aabb: &Aabb<f64>) -> Option<f64> {
     let range = views.scales.get(scale)?.views.clone();
     let mut widths: Vec<f64> = views.views[range].iter().map(|view| footprint(&view.camera, aabb)).collect();
@@ -105,7 +107,8 @@ mod tests {
         assert_eq!(patterns(rule(3, 0.01)), grids([3, 2, 1, 1]));
         assert_eq!(patterns(rule(1, 0.0)), grids([1; 4]));
         assert_eq!(patterns(rule(5, 0.0)), grids([5; 4]));
-        // Three times as far away, a pixel is three times as wide; within the box it is no narrower than at a quarter of its side.
+        // At three times the distance, a pixel is three times as wide. Within the box, the distance counts as a quarter of the
+        // box's side.
         assert_eq!(rule(8, 0.01).pattern(&camera(12.0, 400.0)), PixelPattern::Grid(3));
         assert_eq!(footprint(&camera(0.1, 400.0), &Aabb::new(&Config::default().scene)), 0.75 / 400.0);
     }

@@ -1,8 +1,9 @@
-//! Known distances: pixels of the training views whose rays end at points that several photographs saw, or that depth images show.
+//! Known distances: pixels of the training views whose rays end at points that several photographs saw, or at surfaces that depth
+//! images show.
 
 use bytemuck::{Pod, Zeroable};
 
-/// Where the ray of a pixel ends.
+/// Known end of the ray of a pixel.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct KnownDepth {
@@ -14,25 +15,26 @@ pub struct KnownDepth {
     pub deviation: f32,
 }
 
-/// Pixels of a block of [`DepthIndex`].
+/// Number of pixels in a block of [`DepthIndex`].
 const BLOCK: usize = 1024;
 
 /// Index that finds the known depth of a pixel. A binary search would read memory a dozen times for each random pixel.
 #[derive(Clone, Debug, Default)]
 pub struct DepthIndex {
-    /// For each block of pixels, the number of known depths before it; then the number of all.
+    /// For each block of pixels, the number of known depths in the blocks before it. The last entry is the number of all
+    /// known depths.
     starts: Vec<u32>,
 }
 
 impl DepthIndex {
-    /// The index of `depths`, which are sorted by pixel.
+    /// Builds the index of `depths`, which must be sorted by pixel.
     pub fn new(depths: &[KnownDepth]) -> Self {
         let blocks = depths.last().map_or(0, |known| known.pixel as usize / BLOCK + 1);
         let before = |pixel: usize| depths.partition_point(|known| (known.pixel as usize) < pixel) as u32;
         Self { starts: (0..=blocks).map(|block| before(block * BLOCK)).collect() }
     }
 
-    /// The known depth of a pixel. `depths` are those from which the index was built.
+    /// Returns the known depth of a pixel. `depths` must be those from which the index was built.
     #[inline]
     pub fn find<'a>(&self, depths: &'a [KnownDepth], pixel: usize) -> Option<&'a KnownDepth> {
         let block = pixel / BLOCK;

@@ -1,21 +1,23 @@
-//! Silhouettes in the public multi-scale sets. Their coarse photographs are means of straight RGBA. A pixel with colour P
-//! (the mean of colour·α, premultiplied) and opacity A therefore adds about P·A to the background, where the mean of the
-//! scene adds P. The edge exponent γ interpolates: C = P·A^γ + (1 − A)·background. It is 0 if edge pixels are as in the
-//! scene, and 1 if colour and alpha of a block are independent. It is fitted to training photographs, one value per scale.
+//! Silhouettes in the public multi-scale sets, whose coarse photographs are means of straight RGBA. Let P be the mean of
+//! colour·α within a pixel, and A the pixel's opacity. Such a pixel then adds about P·A to the background, although the
+//! scene itself would add P. The edge exponent γ interpolates: C = P·A^γ + (1 − A)·background. It is 0 if edge pixels are
+//! as in the scene, and 1 if colour and alpha of a block are independent. One value per scale is fitted to the training
+//! photographs.
 
 use crate::math::scalar::Real;
 use crate::{Alpha, ViewSet};
 
-/// Opacity below which A^γ is taken as constant: its slope is infinite at 0.
+/// Opacity below which A^γ is taken as constant, because its slope is infinite at 0.
 pub const LEAST_OPACITY: f64 = 1e-4;
 
-/// Most views of a scale that the fit reads.
+/// Largest number of views per scale that the fit reads.
 const FITTED_VIEWS: usize = 16;
 
-/// Candidates for an exponent in [0, 1] before the best one is refined.
+/// Number of candidates for an exponent in [0, 1]; the best one is then refined.
 const CANDIDATES: usize = 65;
 
-/// The colour that a photograph of the set shows for a pixel whose composited colour is `rgb` = P + (1 − A)·background.
+/// Returns the colour that a photograph of the set shows for a pixel whose composited colour is `rgb` = P + (1 −
+/// A)·background.
 #[inline]
 pub fn shown<R: Real>(rgb: [R; 3], opacity: R, background: [R; 3], exponent: R) -> [R; 3] {
     if exponent == R::zero() {
@@ -29,7 +31,8 @@ pub fn shown<R: Real>(rgb: [R; 3], opacity: R, background: [R; 3], exponent: R) 
     })
 }
 
-/// Gradient with respect to [r, g, b, opacity] of a pixel, for a gradient with respect to the colour [`shown`].
+/// Returns the gradient with respect to [r, g, b, opacity] of a pixel, given the `gradient` with respect to the colour
+/// [`shown`].
 #[inline]
 pub fn shown_gradient<R: Real>(
     rgb: [R; 3],
@@ -55,9 +58,9 @@ pub fn shown_gradient<R: Real>(
     [r * factor, g * factor, b * factor, by_opacity]
 }
 
-/// Fits the edge exponent of each scale of `views`, fine to coarse: by least squares, P·A^γ of the finest photographs to the
-/// colour·α of the coarser ones, over partly transparent pixels. `None` if alpha is not straight, if there is one scale, or
-/// if the scales have different numbers of views.
+/// Fits the edge exponent of each scale of `views`, fine to coarse. Least squares fit P·A^γ of the finest photographs to the
+/// colour·α of the coarser ones, over partly transparent pixels. Returns `None` if alpha is not straight, if there is only
+/// one scale, or if the scales have different numbers of views.
 pub fn fit(views: &ViewSet) -> Option<Vec<f64>> {
     let finest = views.scales.first()?;
     let whole = |scale: &crate::Scale| scale.views.len() == finest.views.len();
@@ -77,7 +80,7 @@ pub fn fit(views: &ViewSet) -> Option<Vec<f64>> {
 
 /// A partly transparent pixel of a coarse photograph.
 struct EdgePixel {
-    /// P and A: means of colour·α and of α over the finest photograph.
+    /// P and A: means of colour·α and of α over the pixel's area in the finest photograph.
     colour: [f64; 3],
     opacity: f64,
     /// Colour·α of the coarse photograph.
@@ -95,7 +98,7 @@ fn edge_pixels(views: &ViewSet, fine: usize, coarse: usize, factor: u32) -> Vec<
     means.iter().zip(views.pixels_of(coarse)).filter_map(edge).collect()
 }
 
-/// The exponent in [0, 1] of least squared error, to a thousandth; 0 without pixels.
+/// Returns the exponent in [0, 1] with the least squared error, to a thousandth; 0 without pixels.
 fn best(pixels: &[EdgePixel]) -> f64 {
     let error = |exponent: f64| {
         let of = |pixel: &EdgePixel| {
@@ -154,17 +157,17 @@ mod tests {
         let near = |a: [f64; 3], b: [f64; 3]| (0..3).all(|c| (a[c] - b[c]).abs() < 1e-12);
         assert!(near(shown(rgb, 1.0, background, 0.5), rgb));
         assert!(near(shown(background, 0.0, background, 0.5), background));
-        // Half of (0.4, 0, 0.8) on white, calculated by hand: exponent 1 halves the colour again.
+        // (0.4, 0, 0.8) with opacity 0.5 on white, calculated by hand: exponent 1 halves the colour again.
         assert!(near(shown([0.7, 0.5, 0.9], 0.5, background, 1.0), [0.6, 0.5, 0.7]));
     }
 
-    /// Frames of one colour per 2×2 block, with `alpha` for its four pixels, at two scales.
+    /// Returns views at two scales with one colour per 2×2 block; `alpha` holds the opacities of the block's four pixels.
     fn set(alpha: [u8; 4], colour: impl Fn(usize) -> [u8; 3]) -> ViewSet {
         let size = 16_usize;
         let fine = |i: usize| {
             let (x, y) = (i % size, i / size);
             let [r, g, b] = colour(x / 2 + 8 * (y / 2));
-            // A clear pixel has no colour, as in the set.
+            // A transparent pixel has no colour, as in the public set.
             let a = alpha[x % 2 + 2 * (y % 2)];
             if a == 0 { [0; 4] } else { [r, g, b, a] }
         };
@@ -199,13 +202,13 @@ mod tests {
     #[test]
     fn exponents_of_known_sets_are_found() {
         let colour = |i: usize| [200, 40 + 3 * i as u8, 255 - 3 * i as u8];
-        // Opaque and clear pixels: the mean of straight colours is P already, and colour·α is P·A.
+        // Opaque and transparent pixels: the mean of straight colours is P already, and colour·α is P·A.
         let opaque = fit(&set([255, 0, 255, 0], colour)).unwrap();
         assert!(opaque[0] == 0.0 && (opaque[1] - 1.0).abs() < 0.02, "{opaque:?}");
-        // Pixels of one alpha: straight means lose nothing.
+        // All pixels have the same alpha: means of straight colours lose nothing.
         let veil = fit(&set([128; 4], colour)).unwrap();
         assert!(veil[1] < 0.02, "{veil:?}");
-        // Nothing is partly transparent.
+        // No pixel is partly transparent.
         assert_eq!(fit(&set([255; 4], colour)), Some(vec![0.0, 0.0]));
         let premultiplied = ViewSet { alpha: Alpha::Premultiplied, ..set([255, 0, 255, 0], colour) };
         assert_eq!(fit(&premultiplied), None);

@@ -22,14 +22,14 @@ pub struct Fingerprint {
 }
 
 impl Fingerprint {
-    /// The fingerprint of `set`.
+    /// Returns the fingerprint of `set`.
     pub fn of(set: &ViewSet) -> Self {
         let numbers = set.views.iter().flat_map(|view| view.camera.numbers());
         let cameras: Vec<u8> = numbers.flat_map(|number| (number as f32).to_le_bytes()).collect();
         Self { views: set.views.len(), cameras: hash(&cameras), pixels: hash(set.pixels.as_flattened()) }
     }
 
-    /// Describes what differs from `other`; `None` if nothing does.
+    /// Describes the differences from `other`; returns `None` if there are none.
     pub fn difference(&self, other: &Self) -> Option<String> {
         if self.views != other.views {
             return Some(format!("{} training views, was {}", self.views, other.views));
@@ -41,7 +41,7 @@ impl Fingerprint {
     }
 }
 
-/// Hash of bytes, identical on every machine. It detects accidental changes, not attacks.
+/// Returns a hash of bytes that is identical on every machine. It detects accidental changes, not attacks.
 pub fn hash(bytes: &[u8]) -> u64 {
     let mix = |sum: u64, word: u64| (sum ^ word).wrapping_mul(MULTIPLIER).rotate_left(29);
     let (words, rest) = bytes.as_chunks::<8>();
@@ -56,8 +56,8 @@ pub fn hash(bytes: &[u8]) -> u64 {
     sums.into_iter().chain(tail).fold(0, mix)
 }
 
-/// Hash of several parts, identical on every machine: the hash of the [hashes](hash) of all parts, so that it also depends
-/// on where each part ends.
+/// Returns a hash of several parts that is identical on every machine: the hash of the [hashes](hash) of all parts, so that
+/// it also depends on where each part ends.
 pub fn hash_of<P: AsRef<[u8]>>(parts: impl IntoIterator<Item = P>) -> u64 {
     let hashes: Vec<u8> = parts.into_iter().flat_map(|part| hash(part.as_ref()).to_le_bytes()).collect();
     hash(&hashes)
@@ -80,12 +80,13 @@ mod tests {
                 assert_ne!(whole, hash(&other), "byte {place} of {length}");
             }
         }
-        // Neighbours that change places.
+        // Neighbours that are swapped.
         assert_ne!(hash(&[1, 2, 3]), hash(&[2, 1, 3]));
         assert_ne!(hash(&[[1; 8], [2; 8]].concat()), hash(&[[2; 8], [1; 8]].concat()));
     }
 
-    /// Files and other machines hold these numbers. They were computed from the description of the hash by another program.
+    /// Checks hashes against numbers that another program computed from the description of the hash. Files and other
+    /// machines hold such hashes.
     #[test]
     fn hashes_are_the_same_in_every_version() {
         assert_eq!(hash(b""), 0);

@@ -26,7 +26,7 @@ pub struct Pixel {
 }
 
 impl Pixel {
-    /// The mean of a pixel's cones.
+    /// Returns the mean of a pixel's cones.
     #[inline]
     pub fn mean(cones: &[Self]) -> Self {
         if let [one] = cones {
@@ -41,7 +41,7 @@ impl Pixel {
         }
     }
 
-    /// [r, g, b, opacity].
+    /// Returns [r, g, b, opacity].
     pub fn channels(&self) -> [f32; 4] {
         let [r, g, b] = self.rgb;
         [r, g, b, self.opacity]
@@ -49,13 +49,13 @@ impl Pixel {
 }
 
 impl Frame {
-    /// RGB of every pixel.
+    /// Returns the RGB of every pixel.
     pub fn rgb(&self) -> Vec<[f32; 3]> {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }
 
-    /// This picture, rendered on `background`, as the photographs of a set with an edge exponent show it, see
-    /// [`edge_exponents`].
+    /// Converts this picture, rendered on `background`, to the picture that photographs of a set with this edge exponent
+    /// show, see [`edge_exponents`].
     pub fn shown(mut self, background: [f32; 3], exponent: f32) -> Self {
         for pixel in &mut self.pixels {
             pixel.rgb = edge_exponents::shown(pixel.rgb, pixel.opacity, background, exponent);
@@ -63,7 +63,7 @@ impl Frame {
         self
     }
 
-    /// This picture, rendered on the background `from`, on the background `to`.
+    /// Converts this picture, rendered on the background `from`, to the background `to`.
     pub fn moved(&self, from: [f32; 3], to: [f32; 3]) -> Self {
         let moved = |pixel: &Pixel| {
             let clear = 1.0 - pixel.opacity;
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn another_background_is_seen_as_far_as_a_pixel_is_clear() {
         let pixel = |rgb, opacity| Pixel { rgb, opacity, depth: 0.0 };
-        // Composited by hand: 0.75 of (0.4, 0.2, 0.8) on white, then on (0, 1, 0.5).
+        // (0.4, 0.2, 0.8) with opacity 0.75, composited by hand on white and then on (0, 1, 0.5).
         let frame = Frame {
             width: 3,
             height: 1,

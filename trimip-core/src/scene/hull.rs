@@ -8,13 +8,13 @@ use crate::{Aabb, Config, ViewSet, math::bits, scene::silhouettes};
 pub struct Hull {
     /// One bit per cell, set inside of the hull.
     pub bits: Vec<u8>,
-    /// One per cell: [`OUTSIDE`], or 0.
+    /// Density of each cell: [`OUTSIDE`], or 0 inside of the hull.
     pub densities: Vec<f32>,
 }
 
 impl Hull {
-    /// The hull of the silhouettes of `views` in the configured grid; both are in world coordinates. `None` if there are no
-    /// silhouettes, or if they leave nothing.
+    /// Returns the hull of the silhouettes of `views` in the configured grid; both are in world coordinates. `None` if
+    /// there are no silhouettes, or if they leave no cell.
     pub fn of(config: &Config, views: &ViewSet) -> Option<Self> {
         let inside = silhouettes::cells(views, &Aabb::new(&config.scene), config.occupancy.resolution)?;
         let bits = bits::of(inside.len(), |cell| inside[cell]);
@@ -29,12 +29,12 @@ mod tests {
     use crate::{Alpha, Camera, Intrinsics, Scale, View};
     use glam::DVec3;
 
-    /// Silhouettes of a ball of radius 0.5 around the origin, from all sides.
+    /// Returns silhouettes of a ball of radius 0.5 around the origin, from all sides.
     fn ball() -> ViewSet {
         ball_through(Intrinsics::from_angle(128, 128, 0.7))
     }
 
-    /// Silhouettes of that ball by cameras with intrinsics `k`.
+    /// Returns silhouettes of the same ball, seen by cameras with intrinsics `k`.
     fn ball_through(k: Intrinsics) -> ViewSet {
         let (mut views, mut pixels) = (Vec::new(), Vec::new());
         for i in 0..40 {
@@ -109,7 +109,8 @@ mod tests {
         let before = count(&views).unwrap();
         let start = views.views[7].offset;
         views.pixels[start..start + 128 * 128].iter_mut().for_each(|pixel| pixel[3] = 0);
-        // The wrong mask is a vote for every cell it sees: only cells that one other view shows to be empty are lost.
+        // The wrong mask is a vote that every cell it sees is empty, so a cell is lost if only one other view shows it to
+        // be empty.
         let after = count(&views).unwrap();
         assert!(after > before / 2, "{after} of {before}");
         views.pixels.iter_mut().for_each(|pixel| pixel[3] = 255);

@@ -1,6 +1,6 @@
-//! Occupied and free space, from points that several photographs saw: rays end near these points, and pass through free space
-//! on the way. A run that starts with the cells near points alone cannot explain photographs by copies of the scene in front
-//! of their cameras (INGeo, arXiv 2212.01959, starts from known geometry in the same way).
+//! Occupied and free space, known from points that several photographs saw: rays end near these points, and pass through free
+//! space on the way. A run in which only cells near points can be occupied at first cannot explain photographs by copies of
+//! the scene in front of their cameras (INGeo, arXiv 2212.01959, starts from known geometry in the same way).
 
 use crate::geometry::occupancy::cell_of;
 use crate::geometry::space::RayParameter;
@@ -8,37 +8,41 @@ use crate::{Config, Space, View, ViewSet, math::bits};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-/// Number of cells in each direction around a point's cell that are near it at first: half of a small object has no points.
+/// Number of cells in each direction around a point's cell that count as near the point at first. Half of a small object
+/// has no points.
 const NEAR: u8 = 2;
 
-/// How often [`NEAR`] doubles before cells far from points may be occupied: walls have points at their edges alone.
+/// Number of times that [`NEAR`] doubles before cells far from points may be occupied: walls have points only at their
+/// edges.
 const DOUBLINGS: u8 = 3;
 
 /// Number of cells in each direction around a point's cell that are never free.
 const AROUND: usize = 1;
 
-/// Fewest rays that must end in a cell for it to have a point: a single match may be wrong.
+/// Number of rays that must end in a cell before the cell counts as having a point; a single match may be wrong.
 const LEAST_ENDS: u16 = 2;
 
-/// Fewest photographs that must look through a cell for it to be empty under [`Confinement::Near`], and to be free. Wrong matches
-/// lie behind surfaces, and their few photographs seem to look through the surface: of the cells of *bonsai* that three
-/// photographs look through, 0.4 % hold a surface; of those that sixteen look through, 0.06 %.
+/// Number of photographs that must look through a cell before the cell counts as empty under [`Confinement::Near`], and before it
+/// counts as free. Points of wrong matches lie behind surfaces, so the few photographs that show such a point seem to look
+/// through the surface. In *bonsai*, 0.4 % of the cells that three photographs look through hold a surface, and 0.06 % of those
+/// that sixteen look through.
 const LEAST_VIEWS: [u16; 2] = [3, 16];
 
-/// Radius of the free ball around a camera, as a fraction of the distance to its nearest point. No ray of the camera passes
-/// the space beside it, where the next camera may be.
+/// Radius of the free ball around a camera, as a fraction of the distance from the camera to its nearest point. No ray of
+/// the camera passes the space next to the camera, where the next camera may be.
 const CLOSE: f64 = 0.2;
 
-/// A ray is certainly in free space until this many standard deviations before its end.
+/// Number of standard deviations in front of a ray's end up to which the ray is certainly in free space.
 const CERTAIN: f64 = 3.0;
 
-/// Which cells of the occupancy grid can be occupied. A run goes through the variants in order and never back.
+/// Restriction of the occupancy grid to cells that can be occupied. A run goes through the variants in order and never
+/// back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Confinement {
-    /// Cells that have a point at most this many cells away along each axis, and that few photographs look through.
+    /// Only cells that have a point at most this many cells away along each axis, and that few photographs look through.
     Near(u8),
-    /// All cells but the free ones, which many photographs look through.
+    /// All cells except the free ones, which many photographs look through.
     NotFree,
     /// All cells.
     #[default]
@@ -46,7 +50,7 @@ pub enum Confinement {
 }
 
 impl Confinement {
-    /// The confinement that the settings ask for at `progress`.
+    /// Returns the confinement that the settings request at `progress`.
     pub fn at(config: &Config, progress: f64) -> Self {
         let occupancy = &config.occupancy;
         if progress < occupancy.seeded {
@@ -63,16 +67,18 @@ impl Confinement {
 /// The cells near points, and the free cells.
 #[derive(Debug)]
 pub struct KnownSpace {
-    /// For each cell, the least reach at which it is near a point: [`NEAR`], one of its doublings, or [`u8::MAX`].
+    /// For each cell, the least reach at which the cell is near a point: [`NEAR`], one of its doublings, or [`u8::MAX`] if
+    /// none is enough.
     reach: Vec<u8>,
-    /// Bits of the cells that some photographs look through (`passed`) and that many do (`free`), see [`LEAST_VIEWS`].
+    /// Bits of the cells that some photographs look through (`passed`), and of the cells that many look through (`free`),
+    /// see [`LEAST_VIEWS`].
     passed: Vec<u8>,
     free: Vec<u8>,
 }
 
 impl KnownSpace {
-    /// Known space of the rays of known depth in the finest scale of `views`, which are in world coordinates. `None` if this
-    /// configuration confines no run, or if no cell is near a point.
+    /// Derives known space from the rays of known depth in the finest scale of `views`, which are in world coordinates.
+    /// Returns `None` if the settings confine no cells, or if no cell is near a point.
     pub fn of(config: &Config, views: &ViewSet) -> Option<Self> {
         let finest = views.scales.first()?;
         if Confinement::at(config, 0.0) == Confinement::None {
@@ -100,7 +106,7 @@ impl KnownSpace {
         Some(Self { reach: reach(ends, side), passed, free })
     }
 
-    /// True if a cell can be occupied.
+    /// Returns true if a cell can be occupied under `confinement`.
     pub fn allows(&self, confinement: Confinement, cell: usize) -> bool {
         match confinement {
             Confinement::Near(reach) => self.reach[cell] <= reach && !bits::is_set(&self.passed, cell),
@@ -110,20 +116,20 @@ impl KnownSpace {
     }
 }
 
-/// Counts of rays by cell.
+/// Counts of rays for each cell.
 struct Rays {
     space: Space<f64>,
     side: u32,
-    /// Rays that end in a cell.
+    /// Number of rays that end in the cell.
     ends: Vec<u16>,
-    /// Views with a ray that passes a cell.
+    /// Number of views with a ray that passes the cell.
     views: Vec<u16>,
-    /// The last such view, by number.
+    /// Number of the last view with such a ray.
     last: Vec<u32>,
 }
 
 impl Rays {
-    /// Adds the rays of known depth of a view.
+    /// Adds the rays of a view whose depth is known.
     fn add(&mut self, views: &ViewSet, view: &View, number: u32) {
         let k = &view.camera.intrinsics;
         let pixels = view.offset..view.offset + k.width as usize * k.height as usize;
@@ -188,7 +194,8 @@ impl Rays {
     }
 }
 
-/// For each cell, the least of [`NEAR`] and its doublings at which it is near one of `cells`; [`u8::MAX`] if none is enough.
+/// Returns, for each cell, the smallest of [`NEAR`] and its doublings within which one of `cells` lies; [`u8::MAX`] if none
+/// is enough.
 fn reach(mut cells: Vec<bool>, side: usize) -> Vec<u8> {
     let mut reach = vec![u8::MAX; cells.len()];
     let mut before = 0;
@@ -203,7 +210,7 @@ fn reach(mut cells: Vec<bool>, side: usize) -> Vec<u8> {
     reach
 }
 
-/// The cells that lie within `reach` of one of `cells`, along each axis.
+/// Returns the cells that lie within `reach` cells of one of `cells`, along each axis.
 fn widened(cells: &[bool], side: usize, reach: usize) -> Vec<bool> {
     let mut wide = cells.to_vec();
     for stride in [1, side, side * side] {
@@ -225,13 +232,13 @@ mod tests {
     use crate::scene::depths::KnownDepth;
     use crate::{Alpha, Camera, Intrinsics, Scale, View};
 
-    /// Four views, see [`many_views`].
+    /// Returns four views, see [`many_views`].
     fn views(depths: &[(usize, usize, usize, f32)]) -> ViewSet {
         many_views(4, depths)
     }
 
-    /// Views of the origin, alternately from (4, 0, 0) and (−4, 0, 0). `depths` are their known pixels: view, column, row and
-    /// distance.
+    /// Returns views of the origin, alternately from (4, 0, 0) and (−4, 0, 0). `depths` are their known pixels: view, column,
+    /// row and distance.
     fn many_views(count: usize, depths: &[(usize, usize, usize, f32)]) -> ViewSet {
         let k = Intrinsics::from_angle(32, 32, 0.7);
         let view = |i: usize| View {
@@ -260,7 +267,7 @@ mod tests {
         }
     }
 
-    /// Cells along a side of the grid; each is 0.625 units wide where space keeps its shape.
+    /// Number of cells along a side of the grid; each is 0.625 units wide in uncontracted space.
     const SIDE: usize = 64;
 
     fn place() -> Config {
@@ -276,7 +283,7 @@ mod tests {
     fn cells_around_ends_that_two_rays_share_are_near() {
         let config = place();
         let space = Space::<f64>::new(&config.scene);
-        // Both views see a place near the origin; view 1 alone sees one far behind it.
+        // Both views see a point near the origin; only view 1 sees another point, far behind the first.
         let views = views(&[(0, 16, 16, 4.0), (1, 15, 16, 4.01), (1, 3, 3, 40.0)]);
         let known = KnownSpace::of(&config, &views).unwrap();
         let cone = views.views[0].camera.cone::<f64>(16, 16);
@@ -299,7 +306,7 @@ mod tests {
         let config = place();
         let space = Space::<f64>::new(&config.scene);
         let cell = |x: f64| cell_of(space.to_cube([x, 0.01, -0.01]).map(|x| x as f32), SIDE as u32) as usize;
-        // Half of the views stand on either side, or all on one.
+        // Half of the views are on each side of the origin, or all of them on one side.
         for (count, one_side, [empty, free]) in [
             (4, false, [false, false]),
             (3, true, [true, false]),
@@ -332,7 +339,7 @@ mod tests {
         let mut config = place();
         config.scene.contraction = Contraction::None;
         (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0; 3], [1.0; 3]);
-        // Two views see the origin; three see a place beyond the box, past it.
+        // Two views see the origin; three look past it and see a point beyond the box.
         let seen = [(0, 16, 16, 4.0), (2, 16, 16, 4.0), (0, 0, 0, 9.0), (1, 0, 0, 9.0), (3, 0, 0, 9.0)];
         let known = KnownSpace::of(&config, &views(&seen)).unwrap();
         let border = |cell: usize| {

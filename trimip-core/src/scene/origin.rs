@@ -1,42 +1,42 @@
-//! Origin of the program's coordinates. Poses in map or earth-centred coordinates lie up to 6e6 units from their origin, and f32
-//! has steps of half a unit there. Such scenes have a [`LocalOrigin`]: it is subtracted in f64 from everything that the data and the
-//! user state, before anything becomes f32, and added again to everything that is written in the coordinates of the data.
+//! Local origin of the program's coordinates. Poses in map or earth-centred coordinates lie up to 6e6 units from zero, where f32 has
+//! steps of half a unit. Such scenes have a [`LocalOrigin`]: it is subtracted in f64 from all coordinates in the data and the
+//! settings before they become f32, and added again to everything that is written in the coordinates of the data.
 
 use super::strays::without_strays;
 use crate::config::{Crop, PhotographsConfig};
 use crate::{Aabb, Camera};
 use glam::DVec3;
 
-/// A scene is far from its origin if their distance exceeds this many times the extent of its cameras. At that distance, f32
-/// rounds by up to 3e-5 of the extent: a thirtieth of the width that a pixel of a photograph 1,000 pixels wide sees.
+/// A scene is far from zero if its distance from zero exceeds this many times the extent of its cameras. At that distance,
+/// f32 rounds by up to 3e-5 of the extent: about a thirtieth of a pixel, if 1,000 pixels show the extent.
 const FAR: f64 = 1e3;
 
 /// Origin of the program's coordinates, in the coordinates of the data: `local = stated - origin`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LocalOrigin(DVec3);
 
-/// Something that has a place in the world.
+/// An object that has a place in the world.
 pub trait Placed {
-    /// Returns it moved by a vector.
+    /// Returns the object moved by a vector.
     #[must_use]
     fn moved(self, by: DVec3) -> Self;
 }
 
 impl LocalOrigin {
-    /// The origin of a configuration (`data.origin`); an empty list is zero.
+    /// Returns the origin of a configuration (`data.origin`); an empty list is zero.
     pub fn of(data: &PhotographsConfig) -> Self {
         Self::at(&data.origin)
     }
 
-    /// The origin at three numbers; zero for an empty list.
+    /// Returns the origin at three numbers; zero for an empty list.
     pub fn at(numbers: &[f64]) -> Self {
         <[f64; 3]>::try_from(numbers).map_or_else(|_| Self::default(), |numbers| Self(numbers.into()))
     }
 
-    /// Chooses the origin for these cameras. It is zero, unless they are far from zero: `distance > 1000 · extent`, where `extent` is
-    /// the diagonal of the box around all cameras but [strays](without_strays), and `distance` that of the box's middle from zero. For
-    /// far cameras it is this middle, rounded to whole units, or to the power of ten below the extent if that is below one unit. So
-    /// its decimal digits are exact.
+    /// Chooses the origin for these cameras. Let `extent` be the diagonal of the box around all cameras except
+    /// [strays](without_strays), and `distance` the distance of the box's middle from zero. If `distance > 1000 · extent`, the origin
+    /// is this middle, rounded to whole units, or to the power of ten below the extent if the extent is below one unit, so that its
+    /// decimal digits are exact. Otherwise the origin is zero.
     pub fn chosen(cameras: &[Camera]) -> Self {
         let near = without_strays(cameras);
         let places = near.iter().map(|camera| camera.origin);
@@ -52,21 +52,21 @@ impl LocalOrigin {
         }
         let steps = 10_f64.powi((-extent.log10().floor()).clamp(0.0, 300.0) as i32);
         let rounded = (middle * steps).round() / steps;
-        // Adding zero makes -0 plain.
+        // Adding zero turns -0 into 0.
         if rounded.is_finite() { Self(rounded + DVec3::ZERO) } else { Self::default() }
     }
 
-    /// True if the program's coordinates are those of the data.
+    /// Returns true if the program's coordinates are those of the data.
     pub fn is_zero(self) -> bool {
         self.0 == DVec3::ZERO
     }
 
-    /// The vector to add to local coordinates.
+    /// Returns the vector that moves local coordinates to those of the data.
     pub fn numbers(self) -> [f64; 3] {
         self.0.to_array()
     }
 
-    /// Converts a place that the data or the user state to local coordinates.
+    /// Converts a place in the coordinates of the data to local coordinates.
     pub fn local<T: Placed>(self, stated: T) -> T {
         if self.is_zero() { stated } else { stated.moved(-self.0) }
     }
@@ -123,7 +123,7 @@ mod tests {
     use super::*;
     use crate::Intrinsics;
 
-    /// Cameras on a circle around `centre`.
+    /// Returns cameras on a circle around `centre`.
     fn ring(centre: DVec3, radius: f64) -> Vec<Camera> {
         let k = Intrinsics::from_angle(64, 64, 0.7);
         let at = |i: u32| {
@@ -144,7 +144,7 @@ mod tests {
             assert_eq!(chosen(near, 1.0), [0.0; 3], "{near}");
         }
         assert_eq!(chosen(DVec3::new(0.0, 0.0, 2900.0), 1.0), [0.0, 0.0, 2900.0]);
-        // A scene of some metres whose unit is a kilometre.
+        // A scene of a few metres whose unit is the kilometre.
         let kilometres = chosen(far / 1000.0, 0.0028);
         assert_eq!(kilometres, [448.260, 5411.932, 0.311]);
         assert_eq!(LocalOrigin::at(&kilometres).to_string(), "[448.26, 5411.932, 0.311]");

@@ -9,14 +9,14 @@ pub trait Holder: AsRef<[[u8; 4]]> + Send + Sync {}
 
 impl<T: AsRef<[[u8; 4]]> + Send + Sync> Holder for T {}
 
-/// RGBA pixels, read as a slice. Writing to pixels that lie elsewhere copies them into memory first.
+/// RGBA pixels, read as a slice. Writing to pixels in other storage first copies them into a vector.
 #[derive(Clone)]
 pub struct Pixels(Storage);
 
 #[derive(Clone)]
 enum Storage {
     Memory(Vec<[u8; 4]>),
-    /// In `holder`, which takes memory of this process if `in_memory`.
+    /// Pixels in `holder`; `in_memory` is true if they take memory of this process.
     Elsewhere {
         holder: Arc<dyn Holder>,
         in_memory: bool,
@@ -24,17 +24,17 @@ enum Storage {
 }
 
 impl Pixels {
-    /// Pixels in `holder`, which take no memory of this process.
+    /// Returns pixels in `holder`, which take no memory of this process.
     pub fn elsewhere(holder: impl Holder + 'static) -> Self {
         Self(Storage::Elsewhere { holder: Arc::new(holder), in_memory: false })
     }
 
-    /// Pixels in memory of this process that `holder` has reserved.
+    /// Returns pixels in memory of this process that `holder` has reserved.
     pub fn in_memory_of(holder: impl Holder + 'static) -> Self {
         Self(Storage::Elsewhere { holder: Arc::new(holder), in_memory: true })
     }
 
-    /// Bytes of this process's memory that the pixels take.
+    /// Returns the bytes of this process's memory that the pixels take.
     pub fn bytes_in_memory(&self) -> usize {
         match &self.0 {
             Storage::Memory(pixels) => size_of_val(pixels.as_slice()),

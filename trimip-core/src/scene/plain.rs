@@ -2,17 +2,18 @@
 
 use crate::ViewSet;
 
-/// Largest difference of a channel from the background colour, of 255: allows for noise and compression.
+/// Largest difference of a channel (0 to 255) from the background colour, which allows for noise and compression.
 const NEAR: u8 = 6;
 
-/// Smallest share of all border pixels that have the colour: an object may reach the border of some photographs.
+/// Smallest share of all border pixels that must have the background colour: an object may reach the border of some
+/// photographs.
 const MOST: f64 = 0.95;
 
-/// Smallest share of all pixels that have another colour: the object.
+/// Smallest share of all pixels that must have another colour: the object.
 const LEAST_OBJECT: f64 = 0.005;
 
-/// The colour that the borders of all photographs share, in [0, 1]; `None` if the borders have several colours or alpha, or if
-/// nothing stands out from the colour.
+/// Returns the colour that the borders of all photographs share, in [0, 1]; `None` if the borders have several colours or
+/// alpha, or if no object stands out from the colour.
 pub fn colour(views: &ViewSet) -> Option<[f32; 3]> {
     let [finest, coarsest] = [views.scales.first()?, views.scales.last()?];
     let mut borders = Vec::new();
@@ -47,7 +48,7 @@ mod tests {
     use crate::{Alpha, Camera, Intrinsics, Scale, View};
     use glam::DVec3;
 
-    /// Two photographs of 8 × 6 pixels.
+    /// Returns two photographs of 8 × 6 pixels.
     fn views(pixel: impl Fn(usize, u32, u32) -> [u8; 4]) -> ViewSet {
         let camera =
             Camera::look_at(Intrinsics::from_angle(8, 6, 0.7), 4.0 * DVec3::X, DVec3::ZERO, DVec3::Z);
@@ -70,7 +71,7 @@ mod tests {
         let object = |x, y| if inner(x, y) { [9, 99, 200, 255] } else { [250, 252, 249, 255] };
         let white = [250, 252, 249].map(|value: u8| f32::from(value) / 255.0);
         assert_eq!(colour(&views(|_, x, y| object(x, y))), Some(white));
-        // Noise, and one pixel of the object at the border of one view.
+        // The photographs have noise, and one pixel of the object lies at the border of one view.
         let noisy = |view: usize, x: u32, y: u32| match object(x, y) {
             [250, g, b, a] if (view, x, y) != (1, 0, 3) => [250 - (x % 5) as u8, g, b, a],
             _ => [9, 99, 200, 255],

@@ -1,5 +1,5 @@
-//! The box that holds an object, from its silhouettes: a coarse visual hull. Cells are carved if a photograph shows
-//! only background there; cells that no photograph decides are kept.
+//! Bounding box of an object, from its silhouettes: the bounds of a coarse visual hull. Cells are carved if a photograph
+//! shows only background there; cells about which no photograph decides are kept.
 
 use crate::geometry::occupancy::coordinates;
 use crate::geometry::projections::BallImage;
@@ -7,16 +7,18 @@ use crate::scene::strays::strays;
 use crate::{Aabb, Camera, Scale, ViewSet};
 use glam::DVec3;
 
-/// Cells along each side of the first pass, over the whole box, and of the second, over the bounds that the first found.
+/// Number of cells along each side: of the first pass, over the whole box, and of the second, over the bounds that the
+/// first pass found.
 const CELLS: [usize; 2] = [48, 96];
 
-/// Largest number of silhouettes used: fewer only give a larger hull.
+/// Largest number of silhouettes used. Fewer silhouettes only give a larger hull.
 const MOST_VIEWS: usize = 128;
 
-/// Photographs that must show only background for a cell of [`cells`] to be empty.
+/// Number of photographs that must show only background at a cell before [`cells`] counts the cell as empty.
 const VOTES: usize = 2;
 
-/// Smallest width or height in pixels of a scale that is used, if there is a finer one.
+/// Smallest width or height, in pixels, of the photographs of a scale that is used, unless those of the finest scale are
+/// smaller.
 const FINE_ENOUGH: u32 = 128;
 
 /// The silhouette of a view: a summed-area table of the pixels with any opacity.
@@ -28,11 +30,11 @@ struct Silhouette {
 
 /// Relation of a cell to a view.
 enum Verdict {
-    /// It lies outside of the photograph.
+    /// The cell lies outside of the photograph.
     Unseen,
     /// The object may be there.
     Maybe,
-    /// Only background.
+    /// The photograph shows only background there.
     Empty,
 }
 
@@ -54,13 +56,13 @@ impl Silhouette {
         Self { camera, sums: Some(sums) }
     }
 
-    /// Number of object pixels in columns and rows `low` to `high`, the last excluded.
+    /// Returns the number of object pixels in the columns and rows from `low` to `high`, excluding `high`.
     fn count(&self, sums: &[u32], low: [usize; 2], high: [usize; 2]) -> u32 {
         let at = |x: usize, y: usize| sums[y * (self.camera.intrinsics.width as usize + 1) + x];
         at(high[0], high[1]) + at(low[0], low[1]) - at(low[0], high[1]) - at(high[0], low[1])
     }
 
-    /// Relation of a ball around `centre` to the view.
+    /// Returns the relation of a ball around `centre` to the view.
     fn verdict(&self, centre: DVec3, radius: f64) -> Verdict {
         let k = &self.camera.intrinsics;
         let at = self.camera.rotation.transpose() * (centre - self.camera.origin);
@@ -86,20 +88,21 @@ impl Silhouette {
     }
 }
 
-/// True if any photograph has a transparent pixel.
+/// Returns true if any photograph has a transparent pixel.
 pub fn any(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
     views.alpha.is_opacity() && views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] == 0)
 }
 
-/// Bounds of the places within `aabb` that may hold the object and that at least `fraction` of the photographs see (0: any one).
-/// They leave out no part of the object there. `None` if no photograph has a silhouette, or if the silhouettes leave nothing.
+/// Returns the bounds of the places within `aabb` that may hold the object and that at least `fraction` of the photographs see
+/// (0: at least one photograph). No part of the object at such places lies outside of the bounds. `None` if no photograph has a
+/// silhouette, or if the silhouettes leave no place.
 pub fn bounds(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64) -> Option<Aabb<f64>> {
     bounds_despite(views, aabb, fraction, 0.0)
 }
 
-/// Like [`bounds`], but up to a share `wrong` of the silhouettes may show background at a place, so that a few wrong poses or
-/// masks carve nothing.
+/// Returns the same as [`bounds`], but keeps a place even if up to a share `wrong` of the photographs show background there,
+/// so that a few wrong poses or masks carve nothing.
 pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64, wrong: f64) -> Option<Aabb<f64>> {
     let silhouettes = silhouettes(views)?;
     let of = |fraction: f64| fraction * silhouettes.len() as f64;
@@ -110,15 +113,15 @@ pub fn bounds_despite(views: &ViewSet, aabb: &Aabb<f64>, fraction: f64, wrong: f
 /// Condition under which a place is kept.
 #[derive(Clone, Copy)]
 struct Rule {
-    /// Fewest views that see it.
+    /// Smallest number of views that must see the place.
     least: usize,
-    /// Most views that show only background there.
+    /// Largest number of views that may show only background there.
     most_empty: usize,
 }
 
-/// For each cell of a grid of `resolution` cells along each side of `aabb`, x fastest: whether the object may be there.
-/// A cell is empty if at least two photographs show only background there, so that one wrong mask carves nothing.
-/// `None` where no photograph has a silhouette.
+/// Returns, for each cell of a grid with `resolution` cells along each side of `aabb` (x fastest), whether the object may
+/// be there. A cell is empty if at least two photographs show only background there, so that one wrong mask carves nothing.
+/// `None` if no photograph has a silhouette.
 pub fn cells(views: &ViewSet, aabb: &Aabb<f64>, resolution: u32) -> Option<Vec<bool>> {
     let mut silhouettes = silhouettes(views)?;
     silhouettes.retain(|silhouette| silhouette.sums.is_some());
@@ -134,8 +137,8 @@ pub fn cells(views: &ViewSet, aabb: &Aabb<f64>, resolution: u32) -> Option<Vec<b
     Some((0..resolution.pow(3)).map(may).collect())
 }
 
-/// The views of the coarsest scale that is fine enough, at most [`MOST_VIEWS`] of them with silhouettes; views without one come
-/// last. `None` if no view has a silhouette.
+/// Returns the views of the coarsest scale that is fine enough. At most [`MOST_VIEWS`] of them have silhouettes; views without
+/// one come last. `None` if no view has a silhouette.
 fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
     if !views.alpha.is_opacity() {
         return None;
@@ -158,12 +161,12 @@ fn silhouettes(views: &ViewSet) -> Option<Vec<Silhouette>> {
             false => Silhouette { camera: views.views[index].camera, sums: None },
         })
         .collect();
-    // Views with silhouettes first: most cells are carved before the others are used.
+    // Views with silhouettes come first, so that most cells are carved before the other views are used.
     silhouettes.sort_by_key(|silhouette| silhouette.sums.is_none());
     silhouettes.first().is_some_and(|silhouette| silhouette.sums.is_some()).then_some(silhouettes)
 }
 
-/// Bounds of the cells of a grid over `aabb` that are not carved.
+/// Returns the bounds of the cells of a grid over `aabb` that are not carved.
 fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, rule: Rule) -> Option<Aabb<f64>> {
     let cell = aabb.extent().map(|side| side / cells as f64);
     let radius = 0.5 * DVec3::from_array(cell).length();
@@ -186,7 +189,7 @@ fn hull(silhouettes: &[Silhouette], aabb: &Aabb<f64>, cells: usize, rule: Rule) 
     (high[0] > 0).then(|| Aabb { min: corner(low), max: corner(high) })
 }
 
-/// True unless too many views show background there or too few see it: unseen cells cannot be learned.
+/// Returns true unless too many views show only background at a cell or too few see it. Unseen cells cannot be learned.
 fn kept(silhouettes: &[Silhouette], centre: DVec3, radius: f64, rule: Rule) -> bool {
     let (mut seen, mut empty) = (0, 0);
     for silhouette in silhouettes {
@@ -208,7 +211,7 @@ mod tests {
     use super::*;
     use crate::{Alpha, Intrinsics, View};
 
-    /// Silhouettes of a box, from cameras all around it.
+    /// Returns silhouettes of a box, from cameras all around it.
     fn photographs(object: &Aabb<f64>, opaque: bool) -> ViewSet {
         let k = Intrinsics::from_angle(160, 160, 0.7);
         let (mut views, mut pixels) = (Vec::new(), Vec::new());
@@ -242,7 +245,7 @@ mod tests {
         ] {
             let found = bounds(&photographs(&object, false), &whole, 0.0).unwrap();
             for axis in 0..3 {
-                // Two pixels of 0.02 units and a cell of the finer grid.
+                // The tolerance is two pixels of 0.02 units and a cell of the finer grid.
                 let (below, above) = (object.min[axis] - found.min[axis], found.max[axis] - object.max[axis]);
                 assert!((-1e-9..0.15).contains(&below), "axis {axis}: {below} below {object:?}");
                 assert!((-1e-9..0.15).contains(&above), "axis {axis}: {above} above {object:?}");
@@ -250,13 +253,14 @@ mod tests {
         }
     }
 
-    /// A place that only an opaque photograph sees, such as a close-up, may hold a subject.
+    /// Checks that a place that only an opaque photograph sees, such as a close-up, stays within the bounds: it may hold a
+    /// subject.
     #[test]
     fn what_an_opaque_photograph_sees_stays() {
         let whole = Aabb { min: [-1.5; 3], max: [1.5; 3] };
         let object = Aabb { min: [-1.2, -0.2, -0.2], max: [-0.8, 0.2, 0.2] };
         let mut views = photographs(&object, false);
-        // All look at the object through a narrow lens, from the side where nothing else is.
+        // Both cameras look at the object through a narrow lens, from the side where nothing else is.
         let narrow = Intrinsics::from_angle(160, 160, 0.25);
         views.views.truncate(2);
         for (index, origin) in

@@ -1,4 +1,4 @@
-//! Stray cameras, which are far from all others, and lost cameras, whose poses are failures of a solver.
+//! Stray cameras, which are far from all others, and lost cameras, whose poses a solver failed to find.
 
 use crate::Camera;
 use glam::DVec3;
@@ -7,25 +7,27 @@ use glam::DVec3;
 /// is wrong, or it belongs to another place.
 pub const STRAY: f64 = 30.0;
 
-/// A camera is lost beyond this multiple of the median distance. No capture spans so much, so the solver failed to find its pose.
+/// A camera is lost if its distance exceeds this multiple of the median distance. No capture spans so much, so the solver failed
+/// to find its pose.
 pub const LOST: f64 = 1000.0;
 
 /// Largest shares of stray and of lost cameras: with more of them, the middle is meaningless.
 const MOST_STRAYS: f64 = 0.1;
 const MOST_LOST: f64 = 0.25;
 
-/// Stray cameras in their order: index, and distance from the middle of all cameras in multiples of the median distance.
+/// Returns the index of each stray camera, in order, and the camera's distance from the middle of all cameras in multiples
+/// of the median distance.
 pub fn strays(cameras: &[Camera]) -> Vec<(usize, f64)> {
     farther(cameras, STRAY, MOST_STRAYS)
 }
 
-/// Lost cameras, in their order.
+/// Returns the indices of the lost cameras, in order.
 pub fn lost(cameras: &[Camera]) -> Vec<usize> {
     farther(cameras, LOST, MOST_LOST).into_iter().map(|(index, _)| index).collect()
 }
 
-/// Cameras whose distance from the middle of all cameras exceeds `least` times the median distance, with that multiple; empty if
-/// they are more than the share `most` of all cameras.
+/// Returns the cameras whose distance from the middle of all cameras (the median position) exceeds `least` times the median
+/// distance, each with that multiple; empty if they are more than the share `most` of all cameras.
 fn farther(cameras: &[Camera], least: f64, most: f64) -> Vec<(usize, f64)> {
     let median = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -41,7 +43,7 @@ fn farther(cameras: &[Camera], least: f64, most: f64) -> Vec<(usize, f64)> {
     if far.len() as f64 > most * cameras.len() as f64 { Vec::new() } else { far }
 }
 
-/// The cameras that are not strays, in their order.
+/// Returns the cameras that are not strays, in their order.
 pub fn without_strays(cameras: &[Camera]) -> Vec<Camera> {
     let strays = strays(cameras);
     let is_near = |(index, _): &(usize, &Camera)| strays.iter().all(|(stray, _)| stray != index);
@@ -53,7 +55,7 @@ mod tests {
     use super::*;
     use crate::Intrinsics;
 
-    /// Cameras on a sphere of that radius.
+    /// Returns cameras on a sphere around `centre`.
     fn ring(centre: DVec3, radius: f64, count: usize) -> Vec<Camera> {
         let k = Intrinsics::from_angle(64, 64, 0.7);
         let at = |i: usize| {
@@ -81,7 +83,8 @@ mod tests {
         assert!(strays(&cameras).is_empty() && lost(&cameras) == Vec::from_iter(0..10));
         cameras[10].origin *= 1e12;
         assert!(lost(&cameras).is_empty());
-        // Half of the cameras in one place, or many far ones: there is no middle to be far from.
+        // If half of the cameras are at one place, or many are far away, there is no middle from which distances can be
+        // measured.
         let burst = [vec![cameras[0]; 30], ring(centre, 2.0, 10)].concat();
         assert_eq!(strays(&burst), []);
         let two = [ring(centre, 2.0, 10), ring(100.0 * centre, 2.0, 6)].concat();

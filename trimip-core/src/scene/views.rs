@@ -19,7 +19,7 @@ pub struct View {
 /// All views of one scale, contiguous in [`ViewSet::views`] and [`ViewSet::pixels`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scale {
-    /// Reduction 2^level: 1, 2, 4, 8.
+    /// Reduction factor 2^level: 1, 2, 4 or 8.
     pub factor: u32,
     /// Loss weight of a pixel: its area, 4^level.
     pub weight: f32,
@@ -32,36 +32,37 @@ pub struct Scale {
 /// Meaning of alpha in stored pixels, and how colour relates to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Alpha {
-    /// Opacity; colour of the surface alone (PNG's own convention).
+    /// Alpha is opacity; colour is that of the surface alone (PNG's own convention).
     Straight,
-    /// Opacity; colour already multiplied by it.
+    /// Alpha is opacity; colour is already multiplied by it.
     Premultiplied,
-    /// Share of the pixel that counts: the rest was masked as unknown. Colour is the mean of that share, on no background.
+    /// Alpha is the share of the pixel that counts; the rest was masked as unknown. Colour is the mean of that share, on no
+    /// background.
     Kept,
 }
 
-/// Least alpha of a pixel that is compared if alpha is [`Alpha::Kept`]: half of the pixel.
+/// Least alpha of a pixel that is compared, for [`Alpha::Kept`]: half of the pixel.
 const COMPARED: u8 = 128;
 
 impl Alpha {
-    /// True if alpha separates the object from the background.
+    /// Returns true if alpha separates the object from the background.
     pub fn is_opacity(self) -> bool {
         self != Self::Kept
     }
 
-    /// Opacity of a pixel, in [0, 1].
+    /// Returns the opacity of a pixel, in [0, 1].
     #[inline]
     pub fn opacity(self, pixel: [u8; 4]) -> f32 {
         if self.is_opacity() { f32::from(pixel[3]) / 255.0 } else { 1.0 }
     }
 
-    /// Share of a pixel that counts in the loss, in [0, 1].
+    /// Returns the share of a pixel that counts in the loss, in [0, 1].
     #[inline]
     pub fn fraction(self, pixel: [u8; 4]) -> f32 {
         if self.is_opacity() { 1.0 } else { f32::from(pixel[3]) / 255.0 }
     }
 
-    /// True for a pixel that image metrics leave out: less than half of it counts.
+    /// Returns true for a pixel that image metrics leave out: less than half of it counts.
     #[inline]
     pub fn leaves_out(self, pixel: [u8; 4]) -> bool {
         !self.is_opacity() && pixel[3] < COMPARED
@@ -84,7 +85,7 @@ pub struct ViewSet {
     pub views: Vec<View>,
     /// RGBA, 8 bits each.
     pub pixels: Pixels,
-    /// Meaning of the pixels' colour.
+    /// Meaning of the pixels' alpha and colour.
     pub alpha: Alpha,
     /// Scales from fine to coarse.
     pub scales: Vec<Scale>,
@@ -93,25 +94,26 @@ pub struct ViewSet {
 }
 
 impl ViewSet {
-    /// Number of photographs: the views of the finest scale.
+    /// Returns the number of photographs: the views of the finest scale.
     pub fn photographs(&self) -> usize {
         self.scales.first().map_or(0, |finest| finest.views.len())
     }
 
-    /// Pixels of view `index`, row by row.
+    /// Returns the pixels of view `index`, row by row.
     pub fn pixels_of(&self, index: usize) -> &[[u8; 4]] {
         let view = &self.views[index];
         let k = &view.camera.intrinsics;
         &self.pixels[view.offset..view.offset + k.width as usize * k.height as usize]
     }
 
-    /// View `index` on a background: RGB in [0, 1], row by row.
+    /// Composites view `index` on a background. Returns RGB in [0, 1], row by row.
     pub fn composited(&self, index: usize, background: [f32; 3]) -> Vec<[f32; 3]> {
         self.pixels_of(index).iter().map(|&pixel| composite_pixel(pixel, self.alpha, background)).collect()
     }
 
-    /// Means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not rounded. For
-    /// [`Alpha::Kept`], the mean colour of the kept part and 1. Rows and columns that do not fill a block are cropped.
+    /// Returns the means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not
+    /// rounded. For [`Alpha::Kept`], a mean is the mean colour of the kept part, with opacity 1. Rows and columns that do
+    /// not fill a block are cropped.
     pub fn means(&self, index: usize, factor: u32) -> Vec<[f64; 4]> {
         let k = &self.views[index].camera.intrinsics;
         let (width, factor) = (k.width as usize, factor as usize);
@@ -139,7 +141,8 @@ impl ViewSet {
         (0..columns * rows).map(mean).collect()
     }
 
-    /// View `index` through a true box filter over `factor` × `factor` pixels, on a background: RGB in [0, 1].
+    /// Filters view `index` with a true box filter of `factor` × `factor` pixels and composites it on a background. Returns
+    /// RGB in [0, 1].
     pub fn box_filtered(&self, index: usize, factor: u32, background: [f32; 3]) -> Vec<[f32; 3]> {
         let on = |[r, g, b, a]: [f64; 4]| {
             let channel = |c: usize| [r, g, b][c] + (1.0 - a) * f64::from(background[c]);
@@ -148,7 +151,7 @@ impl ViewSet {
         self.means(index, factor).into_iter().map(on).collect()
     }
 
-    /// Bytes of pixels and views in memory.
+    /// Returns the bytes that pixels, views and known depths take in memory.
     pub fn bytes(&self) -> usize {
         self.pixels.bytes_in_memory()
             + self.views.len() * size_of::<View>()
@@ -156,8 +159,8 @@ impl ViewSet {
     }
 }
 
-/// An 8-bit RGBA pixel on a background: straight colour·α + (1 − α)·background, premultiplied colour + (1 − α)·background;
-/// the colour itself where alpha is no opacity.
+/// Composites an 8-bit RGBA pixel on a background: colour·α + (1 − α)·background for straight alpha, colour + (1 −
+/// α)·background for premultiplied alpha, and the colour itself if alpha is not opacity.
 #[inline]
 pub fn composite_pixel(pixel: [u8; 4], alpha: Alpha, background: [f32; 3]) -> [f32; 3] {
     let [r, g, b, _] = pixel.map(|byte| f32::from(byte) / 255.0);
@@ -171,17 +174,17 @@ pub fn composite_pixel(pixel: [u8; 4], alpha: Alpha, background: [f32; 3]) -> [f
 
 /// Photographs for evaluation, decoded one frame at a time, so that a large test set needs little memory.
 pub trait Frames: Send + Sync {
-    /// Number of frames.
+    /// Returns the number of frames.
     fn len(&self) -> usize;
-    /// True when there is none.
+    /// Returns true if there are no frames.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
-    /// Names of the frames, which their views have too; decodes no photograph.
+    /// Returns the names of the frames, which are also those of their views. Decodes no photograph.
     fn names(&self) -> Vec<String>;
-    /// Cameras of all frames at every scale; decodes no photograph.
+    /// Returns the cameras of all frames at every scale. Decodes no photograph.
     fn cameras(&self) -> Vec<Camera>;
-    /// Frame `index` at every scale: a set of one view per scale, fine to coarse.
+    /// Loads frame `index` at every scale: a set of one view per scale, fine to coarse.
     fn load(&self, index: usize) -> Result<ViewSet>;
 }
 

@@ -1,5 +1,5 @@
-//! The bounding box of the subject: as the data state, or around the common view of the cameras, then shrunk to the
-//! silhouettes if the photographs have any. World units.
+//! Bounding box of the subject, in world units: the box that the data state, or one around the common view of the cameras.
+//! The box is then shrunk to the silhouettes, if the photographs have any.
 
 use super::common_view::{COMMON, cameras, common_view, focus, is_ahead};
 use super::decision::{Context, Proposal};
@@ -20,18 +20,17 @@ use toml::Value;
 /// A fitted box with more than this share of the initial volume is not worth the change.
 const WORTH: f64 = 0.8;
 
-/// Radius of the ball that keeps its shape in contracted space, as a multiple of the median distance from the cameras to
-/// what they look at.
+/// Radius of the uncontracted ball, as a multiple of the median distance from the cameras to what they look at.
 const BALL: f64 = 1.0;
 
 /// Half the side of the box for photographs without masks, as a multiple of the median distance from the cameras to their
-/// common focus: it holds the surroundings and keeps texels small.
+/// common focus: this box holds the surroundings and keeps texels small.
 const SURROUNDINGS: f64 = 1.2;
 
 /// Fewest and most steps along the diagonal: the limits of `renderer.steps_per_diagonal`.
 const STEPS: [f64; 2] = [16.0, 65_536.0];
 
-/// The initial box for the silhouettes, and its source.
+/// Initial box, which the silhouettes then shrink, and its source.
 struct Start {
     aabb: Aabb<f64>,
     source: String,
@@ -96,8 +95,8 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// The box of contracted space for photographs that show their surroundings, unless the user sets `scene.contraction` to
-/// "none". `None` if space is bounded.
+/// Proposes the box of contracted space for photographs that show their surroundings, unless the user sets
+/// `scene.contraction` to "none". Returns `None` if space stays bounded.
 fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     let Context { now, configured, facts, .. } = *context;
     let boxed = ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| context.given(path));
@@ -144,8 +143,9 @@ fn unbounded(context: &Context<'_>) -> Option<Proposal> {
     })
 }
 
-/// Centre and radius of the ball that keeps its shape, and a description of the centre: the middle of what the cameras see if all
-/// look along one direction, the point that they look at, or the mean of their places if they look at no common point.
+/// Returns the centre and radius of the uncontracted ball, and a description of the centre. The centre is the middle of what the
+/// cameras see if all look along one direction, otherwise the point that they look at, or the mean of their positions if they
+/// look at no common point.
 fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f64, &'static str)> {
     if let Some((centre, radius)) = facing.and_then(Facing::ball) {
         return Some((
@@ -167,12 +167,13 @@ fn surroundings(facts: &Facts<'_>, facing: Option<&Facing>) -> Option<(DVec3, f6
     }
 }
 
-/// Distance from a camera to its subject; the width of the camera's picture if its rays are parallel.
+/// Returns the distance from a camera to its subject, or the longer side of the camera's picture in world units if its rays
+/// are parallel.
 fn distance(camera: &Camera, subject: DVec3) -> f64 {
     camera.intrinsics.scale((camera.origin - subject).length())
 }
 
-/// The settings with another box, and with planes of square texels that keep their configured width.
+/// Returns the settings with the box `aabb`, and with planes of square texels that keep their configured width.
 fn sized(context: &Context<'_>, aabb: &Aabb<f64>) -> Config {
     let mut config = context.now.clone();
     (config.scene.aabb_min, config.scene.aabb_max) = (aabb.min.map(|x| x as f32), aabb.max.map(|x| x as f32));
@@ -182,19 +183,19 @@ fn sized(context: &Context<'_>, aabb: &Aabb<f64>) -> Config {
     config
 }
 
-/// The box that the data state. Instant-NGP's cube counts only without silhouettes, which bound the scene better: exporters write
-/// the cube for any scene.
+/// Returns the box that the data state. Instant-NGP's cube counts only if there are no silhouettes: exporters write the cube for
+/// any scene, and silhouettes bound the scene better.
 fn stated<'a>(facts: &Facts<'a>) -> Option<&'a StatedBox> {
     facts.stated.filter(|stated| stated.around_points || !silhouettes::any(facts.train))
 }
 
-/// The box that the data state, otherwise one around the cameras' common focus, otherwise the stated cube.
+/// Returns the box that the data state, otherwise a box around the cameras' common focus, otherwise Instant-NGP's cube.
 fn start(facts: &Facts<'_>) -> Option<Start> {
     let of = |stated: &StatedBox| Start { aabb: stated.aabb, source: stated.source.clone() };
     stated(facts).map(of).or_else(|| around_focus(facts)).or_else(|| facts.stated.map(of))
 }
 
-/// The box around the cameras' common focus.
+/// Returns the box around the cameras' common focus.
 fn around_focus(facts: &Facts<'_>) -> Option<Start> {
     let cameras = cameras(facts.train);
     let focus = focus(&cameras)?;
@@ -214,7 +215,7 @@ fn volume(aabb: &Aabb<f64>) -> f64 {
     aabb.extent().iter().product()
 }
 
-/// The box rounded outwards to few digits.
+/// Rounds the box outwards to few digits.
 fn rounded(aabb: &Aabb<f64>) -> Aabb<f64> {
     let quantum = 10_f64.powf(aabb.longest().log10().floor() - 2.0);
     Aabb {
@@ -230,7 +231,7 @@ fn within(aabb: &Aabb<f64>, whole: &Aabb<f64>) -> Aabb<f64> {
     }
 }
 
-/// The f64 with the fewest digits that rounds to this f32.
+/// Returns the f64 with the fewest digits that rounds to this f32.
 fn shortest(value: f32) -> f64 {
     value.to_string().parse().unwrap_or_else(|_| value.into())
 }

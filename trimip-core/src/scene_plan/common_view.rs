@@ -6,20 +6,20 @@ use crate::{
 };
 use glam::{DMat3, DVec3};
 
-/// Cells along each side of the grid for the common view.
+/// Number of cells along each side of the grid for the common view.
 const CELLS: usize = 40;
 
 /// Largest number of cameras used, evenly spread.
 pub(super) const MOST_CAMERAS: usize = 128;
 
-/// Share of the cameras that must see a place of the subject.
+/// Share of the cameras that must see a place for it to belong to the subject.
 pub(super) const COMMON: f64 = 0.5;
 
 /// Cameras count as parallel if the smallest eigenvalue of the mean of I − d·dᵀ over the viewing directions d is below
 /// this: all directions within about 3°.
 const PARALLEL: f64 = 3e-3;
 
-/// Cameras of the finest photographs, at most [`MOST_CAMERAS`], without stray ones.
+/// Returns the cameras of the finest photographs, at most [`MOST_CAMERAS`], without stray ones.
 pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     let Some(finest) = views.scales.first() else { return Vec::new() };
     let all: Vec<Camera> = finest.views.clone().map(|view| views.views[view].camera).collect();
@@ -28,7 +28,8 @@ pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     near.into_iter().step_by(stride).collect()
 }
 
-/// The point nearest to all optical axes, by least squares; `None` if they are parallel. Panoramas and stray cameras are left out.
+/// Returns the point nearest to all optical axes, by least squares; `None` if they are parallel. Panoramas and stray cameras are
+/// left out.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;
@@ -40,15 +41,18 @@ pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
         matrix += across;
         right += across * camera.origin;
     }
-    // The eigenvalues of a mean of projections lie in [0, 1], so the determinant is at most the smallest one.
+    // The eigenvalues of a mean of projections lie in [0, 1], so their product, the determinant, is at most the smallest
+    // eigenvalue.
     let mean = matrix * (1.0 / cameras.len().max(1) as f64);
     (mean.determinant() > PARALLEL * 0.5).then(|| matrix.inverse() * right).filter(|focus| focus.is_finite())
 }
 
-/// Cameras nearer to each other than this share of their distance to the origin of the data's coordinates count as at one place.
+/// Largest distance between cameras that count as at one place, as a share of their distance from the origin of the data's
+/// coordinates.
 const ONE_PLACE: f64 = 1e-9;
 
-/// True for several cameras, in coordinates local to `origin`, that look around from one place: they show no depth.
+/// Returns true if several cameras, in coordinates relative to `origin`, look around from one place: such cameras show no
+/// depth.
 pub(super) fn at_one_place(cameras: &[Camera], origin: LocalOrigin) -> bool {
     let Some((first, others)) = cameras.split_first() else { return false };
     let near = ONE_PLACE * origin.stated(first.origin).length().max(f64::MIN_POSITIVE);
@@ -56,13 +60,14 @@ pub(super) fn at_one_place(cameras: &[Camera], origin: LocalOrigin) -> bool {
     together && !others.is_empty() && focus(cameras).is_some()
 }
 
-/// True if most of the cameras look towards a point.
+/// Returns true if most of the cameras look towards a point.
 pub(super) fn is_ahead(cameras: &[Camera], point: DVec3) -> bool {
     let before = |camera: &&Camera| camera.rotation.z_axis.dot(point - camera.origin) < 0.0;
     2 * cameras.iter().filter(before).count() > cameras.len()
 }
 
-/// Bounds of what at least [`COMMON`] of the cameras see within `aabb`; `None` if there is no such region.
+/// Returns the bounds of what at least the share [`COMMON`] of the cameras see within `aabb`; `None` if there is no such
+/// region.
 pub(super) fn common_view(cameras: &[Camera], aabb: &Aabb<f64>) -> Option<Aabb<f64>> {
     let cell = aabb.extent().map(|side| side / CELLS as f64);
     let (mut low, mut high) = ([usize::MAX; 3], [0; 3]);
@@ -130,7 +135,7 @@ mod tests {
         let cameras = ring(DVec3::new(3.0, 0.0, 0.0), 4.0, 24);
         let cube = Aabb { min: [-1.0, -4.0, -4.0], max: [7.0, 4.0, 4.0] };
         let view = common_view(&cameras, &cube).unwrap();
-        // Half the picture's width at the centre's distance is 4·tan(0.35) = 1.46, and a cell 0.2.
+        // Half the picture's width at the centre's distance is 4·tan(0.35) = 1.46, and a cell is 0.2 wide.
         for axis in 0..3 {
             let centre = [3.0, 0.0, 0.0][axis];
             assert!(view.min[axis] < centre - 1.0 && view.max[axis] > centre + 1.0, "{view:?}");

@@ -1,16 +1,16 @@
-//! The width of a cone: about that of a pixel of the finest photographs. Wider pixels, of coarser photographs or more distant
-//! cameras, are the mean of several cones.
+//! Width of a cone: about that of a pixel of the finest photographs. A wider pixel, of a coarser photograph or a more distant
+//! camera, is the mean of several cones.
 
 use super::decision::{Context, Proposal};
 use super::fineness;
 use crate::Aabb;
 use toml::Value;
 
-/// Width of a cone in pixel footprints. In photographs reduced to half their width a pixel is four cones, at three quarters it
-/// is one.
+/// Width of a cone in pixel footprints. A pixel of photographs reduced to half their width has four cones; at three quarters
+/// of the width it has one.
 const WIDTH: f64 = 1.25;
 
-/// Most cones along a side of a pixel: with four, a view at 1/8 costs a quarter of one at 1/1.
+/// Largest number of cones along a side of a pixel. With four, a view at 1/8 costs a quarter of a view at 1/1.
 const MOST: i64 = 4;
 
 pub(super) fn decide(context: &Context<'_>) -> Proposal {

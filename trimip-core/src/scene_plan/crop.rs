@@ -1,4 +1,4 @@
-//! The crop in contracted space: the ball around what the cameras look at that fills their pictures.
+//! The crop in contracted space: the ball around the point that the cameras look at, large enough to fill their pictures.
 
 use super::common_view::{COMMON, cameras, focus, is_ahead};
 use super::decision::{Context, Proposal};
@@ -10,7 +10,7 @@ use crate::{Camera, Cone};
 use glam::DVec3;
 use toml::Value;
 
-/// Number of steps along each side of a picture; the ray at each of them bounds what the camera sees.
+/// Number of steps along each side of a picture. The rays at these steps bound what the camera sees.
 const BORDER: u32 = 16;
 
 pub(super) fn decide(context: &Context<'_>) -> Proposal {
@@ -32,8 +32,8 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// The point that the cameras look at, and the radius of the largest ball around it that is no larger than the pictures of the
-/// share [`COMMON`] of the cameras; `None` if they look at no common point, or do not see it.
+/// Returns the point that the cameras look at, and the largest radius that does not exceed [`filling`] for the share
+/// [`COMMON`] of the cameras. `None` if the cameras look at no common point, or do not see it.
 fn subject(cameras: &[Camera]) -> Option<(DVec3, f64)> {
     let focus = focus(cameras).filter(|focus| is_ahead(cameras, *focus))?;
     let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;
@@ -47,8 +47,8 @@ fn subject(cameras: &[Camera]) -> Option<(DVec3, f64)> {
         .map(|radius| (focus, radius))
 }
 
-/// Radius of the ball around a point that fills a camera's picture: the median distance to the rays of the border, at most the
-/// distance to the camera; 0 if the point is not in the picture.
+/// Returns the radius of the ball around a point that fills a camera's picture: the median distance from the point to the rays
+/// of the picture's border, at most the distance to the camera; 0 if the point is not in the picture.
 fn filling(camera: &Camera, at: DVec3) -> f64 {
     if !camera.sees(at) {
         return 0.0;
@@ -70,7 +70,7 @@ fn filling(camera: &Camera, at: DVec3) -> f64 {
     distances[distances.len() / 2].min((at - camera.origin).length())
 }
 
-/// A coordinate to a hundredth of the radius or finer.
+/// Rounds a coordinate to a hundredth of the radius or finer.
 fn rounded(value: f64, radius: f64) -> f64 {
     let digits = (2.0 - radius.log10().floor()).max(0.0) as usize;
     format!("{value:.digits$}").parse::<f64>().unwrap_or(value) + 0.0
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
     use crate::Intrinsics;
 
-    /// Cameras on a circle around `centre` that look at it, 60 degrees wide and 40 high.
+    /// Returns cameras on a circle around `centre` that look at it, with a view of 60 by 40 degrees.
     fn ring(centre: DVec3, radius: f64) -> Vec<Camera> {
         let tangent = |degrees: f64| (0.5 * degrees.to_radians()).tan();
         let focal = 300.0 / tangent(60.0);
@@ -106,7 +106,8 @@ mod tests {
         let distance = 2.0 * 1.16_f64.sqrt();
         let (found, radius) = subject(&cameras).unwrap();
         assert!((found - centre).length() < 1e-6, "{found}");
-        // The border lies 20 to 34.3 degrees from the axis: all of the upright sides and a quarter of the others at 30 or more.
+        // The border lies 20 to 34.3 degrees from the axis. All of the upright sides and a quarter of the other sides lie at 30
+        // degrees or more.
         let expected = distance * 30.3_f64.to_radians().sin();
         assert!((radius / expected - 1.0).abs() < 0.02, "{radius}, not {expected}");
         // Moving fewer than half of the cameras closer to the subject does not change the radius.

@@ -17,12 +17,13 @@ pub(super) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// True for a setting that the user gave.
+    /// Returns true for a setting that the user gave.
     pub(super) fn given(&self, path: &str) -> bool {
         *self.given.origin(path) != Origin::Default
     }
 
-    /// Expected number of kept samples: the target for a budget in steps, otherwise what this machine trains in the time.
+    /// Returns the expected number of kept samples: the target for a budget in steps, otherwise the number that this
+    /// machine trains in the time.
     pub(super) fn budget(&self) -> f64 {
         let train = &self.now.train;
         match train.steps {
@@ -34,9 +35,9 @@ impl Context<'_> {
 
 /// Result of a decision.
 pub(super) enum Proposal {
-    /// Nothing changes, with the reason.
+    /// Nothing changes; holds the reason.
     Keep(String),
-    /// It cannot be decided, with the reason and advice.
+    /// The decision cannot be taken; holds the reason and advice.
     Unknown(String, &'static str),
     /// Settings derived from the data or the budget.
     Set { reason: String, changes: Vec<(&'static str, Value)> },
@@ -46,7 +47,8 @@ pub(super) enum Proposal {
 
 pub(super) type Decide = fn(&Context<'_>) -> Proposal;
 
-/// A decision: its key, the settings it owns (with `auto` it is not taken if the user set one of them), and its rule.
+/// A decision: its key, the settings it owns, and its rule. With `auto`, the decision is not taken if the user set one of
+/// the settings it owns.
 pub(super) struct Decision {
     pub(super) key: &'static str,
     pub(super) owns: &'static [&'static str],

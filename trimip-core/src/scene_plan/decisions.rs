@@ -3,7 +3,7 @@
 use super::decision::Decision;
 use super::{aabb, cones, crop, depth, detail, hash_grid, leave_out, recipe, tri_mip};
 
-/// In order: each decision sees the changes of the earlier ones.
+/// All decisions, in order: each sees the changes of the earlier ones.
 pub(super) const DECISIONS: [Decision; 20] = [
     Decision {
         key: "aabb",

@@ -1,12 +1,13 @@
-//! Whether a run starts near points of structure from motion or surfaces of depth images, with rays drawn to end there.
+//! Decides whether a run starts near the points of structure from motion or the surfaces of depth images, and whether rays
+//! are drawn to end there.
 
 use super::decision::{Context, Proposal};
 use crate::config::Contraction;
 use crate::{Config, ViewSet};
 use toml::Value;
 
-/// Weight of the depth term over a run: known points show where surfaces are, photographs how they look. In the second half photographs
-/// alone decide, so that wrong points leave no trace.
+/// Weight of the depth term over a run: known points show where surfaces are, photographs show how they look. In the second half of the
+/// run only the photographs count, so that wrong points leave no trace.
 const WEIGHTS: [[f64; 2]; 5] = [[0.0, 0.01], [0.125, 0.0075], [0.25, 0.005], [0.375, 0.0025], [0.5, 0.0]];
 
 /// Fraction of the run in which only cells near points can be occupied.
@@ -39,7 +40,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// The setting that needs points, if it is given and no point is known.
+/// Returns the first setting in use that needs known points, if no point is known.
 pub(super) fn without_points(config: &Config, views: &ViewSet) -> Option<&'static str> {
     let settings = [
         ("loss.depth", config.loss.depth.values().any(|weight| weight > 0.0)),

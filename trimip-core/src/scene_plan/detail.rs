@@ -11,13 +11,14 @@ use toml::Value;
 /// Length of a uniform marching step in pixel footprints.
 const STEP: f64 = 1.4;
 
-/// Fewest steps along the diagonal, for photographs of few pixels, and most: with more, steps are shorter than texels.
+/// Fewest and most steps along the diagonal. The minimum is for photographs of few pixels; with more than the maximum,
+/// steps are shorter than texels.
 const STEPS: [f64; 2] = [512.0, 1024.0];
 
-/// Decides how fine an encoder resolves the scene.
+/// Rule that decides how fine an encoder resolves the scene.
 type Detail = fn(&Context<'_>) -> Fineness;
 
-/// The decision of each encoder about its own detail.
+/// The rule of each encoder.
 const ENCODERS: &[(EncoderKind, Detail)] = &[
     (EncoderKind::TriMip, tri_mip::detail),
     (EncoderKind::HashGrid, hash_grid::detail),
@@ -35,7 +36,7 @@ pub(super) fn decide(context: &Context<'_>) -> Proposal {
     };
     let Fineness { what, width, mut changes } = own(context);
     if acts(context, "renderer.steps_per_diagonal") {
-        // The configured box is arbitrary: only the step matters.
+        // The configured box is arbitrary, so only the length of the step matters.
         let steps = (aabb.longest() * 3_f64.sqrt() / (STEP * footprint)).clamp(STEPS[0], STEPS[1]);
         changes.push(("renderer.steps_per_diagonal", Value::Integer(steps.ceil() as i64)));
     }

@@ -1,5 +1,5 @@
-//! Cameras that look along one direction and at no common place, such as a drone that looks straight down, or a walk along a wall:
-//! their places, and the distance to what they see.
+//! Cameras that look along one direction and at no common place, such as those of a drone that looks straight down or of a walk
+//! along a wall: their positions, and the distance to what they see.
 
 use super::common_view::{cameras, focus};
 use super::sweep;
@@ -7,11 +7,12 @@ use crate::math::symmetric::eigen;
 use crate::{Camera, ViewSet};
 use glam::DVec3;
 
-/// Cameras look along one direction if the mean of their viewing directions is this long, as of directions 20 degrees from it.
+/// Cameras look along one direction if the mean of their unit viewing directions is longer than this, as for directions 20
+/// degrees from the mean.
 const ALONG: f64 = 0.94;
 
 /// Cameras look at no common place if the point nearest to their axes lies farther from the axes than this share of the cameras'
-/// spread across the direction. Both are root mean squares.
+/// spread across the direction. Distance and spread are root mean squares.
 const APART: f64 = 0.5;
 
 /// Fewest cameras for this decision.
@@ -20,20 +21,20 @@ const FEWEST: usize = 3;
 /// Cameras that look along one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Facing {
-    /// The mean of the cameras' places, world units.
+    /// Mean of the cameras' positions, world units.
     pub(super) midst: DVec3,
-    /// The direction, a unit vector.
+    /// The common viewing direction, a unit vector.
     pub(super) direction: DVec3,
-    /// Sides of the region of the cameras across the direction, world units, the longer one first.
+    /// Sides of the region that the cameras occupy perpendicular to the direction, world units, the longer one first.
     pub(super) sides: [f64; 2],
     /// Distance from the midst to what the cameras see, along the direction; `None` if it is not known.
     pub(super) distance: Option<f64>,
-    /// Width and height of a picture at a distance of one.
+    /// Width and height of the area that a picture shows at a distance of one.
     pub(super) picture: [f64; 2],
 }
 
 impl Facing {
-    /// The cameras of these views; `None` if they look in several directions or at a common place.
+    /// Describes the cameras of these views; returns `None` if they look in several directions or at a common place.
     pub(super) fn of(views: &ViewSet) -> Option<Self> {
         let directed = |camera: &Camera| camera.intrinsics.lens.model.definition().directed;
         let cameras: Vec<Camera> = cameras(views).into_iter().filter(directed).collect();
@@ -67,8 +68,8 @@ impl Facing {
         })
     }
 
-    /// The middle of what the cameras see, and the radius of a ball around it that holds all that they see at that distance, and
-    /// reaches the cameras; `None` if the distance is not known.
+    /// Returns the middle of what the cameras see, and the radius of a ball around it that holds everything they see at that
+    /// distance and reaches the cameras; `None` if the distance is not known.
     pub(super) fn ball(&self) -> Option<(DVec3, f64)> {
         let distance = self.distance?;
         let half = |[a, b]: [f64; 2]| 0.5 * a.hypot(b);
@@ -76,15 +77,15 @@ impl Facing {
         Some((self.midst + distance * self.direction, seen.max(distance)))
     }
 
-    /// Sides of the region of the cameras, as multiples of the shorter side of the area that a picture shows; `None` if the
-    /// distance is not known.
+    /// Returns the sides of the region of the cameras, as multiples of the shorter side of the area that a picture shows;
+    /// `None` if the distance is not known.
     pub(super) fn pictures(&self) -> Option<[f64; 2]> {
         let picture = self.distance? * self.picture[0].min(self.picture[1]);
         Some(self.sides.map(|side| side / picture))
     }
 }
 
-/// Sides of the box around places, along the two axes in which they spread most.
+/// Returns the sides of the box around places, along the two axes in which they spread most.
 fn sides(places: &[DVec3]) -> [f64; 2] {
     let axes = axes(places);
     let side = |axis: DVec3| {
@@ -94,7 +95,7 @@ fn sides(places: &[DVec3]) -> [f64; 2] {
     [side(axes[0].1), side(axes[1].1)]
 }
 
-/// The principal axes of places around their mean, with the standard deviation along each, the largest first.
+/// Returns the principal axes of places around their mean, with the standard deviation along each, the largest first.
 pub(super) fn axes(places: &[DVec3]) -> [(f64, DVec3); 3] {
     let count = places.len().max(1) as f64;
     let mean = places.iter().sum::<DVec3>() / count;
@@ -114,7 +115,7 @@ pub(super) fn axes(places: &[DVec3]) -> [(f64, DVec3); 3] {
     axes
 }
 
-/// The median of the distances that the data state.
+/// Returns the median of all known distances.
 fn known(views: &ViewSet) -> Option<f64> {
     let mut distances: Vec<f32> = views.depths.iter().map(|known| known.distance).collect();
     distances.sort_by(f32::total_cmp);

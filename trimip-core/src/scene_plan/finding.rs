@@ -24,7 +24,7 @@ pub struct Finding {
     pub choice: PlanChoice,
     /// True if something is left out.
     pub left_out: bool,
-    /// The reason, and what it saves.
+    /// The reason, and the saving if there is one.
     pub reason: String,
     /// The settings that changed.
     pub changes: Vec<Change>,

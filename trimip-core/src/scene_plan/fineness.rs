@@ -1,4 +1,4 @@
-//! How fine a scene is resolved: the footprint of a pixel, occupancy cells, and the detail of an encoder.
+//! Resolution of a scene: the footprint of a pixel, the width of occupancy cells, and the detail of an encoder.
 
 use super::decision::Context;
 use crate::config::PlanChoice;
@@ -12,17 +12,17 @@ const CELL: f64 = 6.4;
 /// Fewest occupancy cells along a side, for photographs of few pixels.
 const LEAST_CELLS: u32 = 64;
 
-/// How fine an encoder resolves the scene.
+/// Detail with which an encoder resolves the scene.
 pub(super) struct Fineness {
-    /// Name of its smallest parts.
+    /// Name of the encoder's smallest parts.
     pub(super) what: &'static str,
-    /// World width of one.
+    /// World width of one such part.
     pub(super) width: f64,
-    /// Settings of the encoder that follow.
+    /// Settings of the encoder that follow from this width.
     pub(super) changes: Vec<(&'static str, Value)>,
 }
 
-/// True if the decision on detail sets `path`.
+/// Returns true if the decision on detail sets `path`.
 pub(super) fn acts(context: &Context<'_>, path: &str) -> bool {
     match context.configured.plan.detail {
         PlanChoice::Off => false,
@@ -31,7 +31,7 @@ pub(super) fn acts(context: &Context<'_>, path: &str) -> bool {
     }
 }
 
-/// World width of an occupancy cell, from the settings or the decision on detail.
+/// Returns the world width of an occupancy cell, from the settings or the decision on detail.
 pub(super) fn cell(context: &Context<'_>) -> f64 {
     let pixel = footprint(context.facts.train, &Aabb::new(&context.now.scene));
     if let Some(pixel) = pixel.filter(|_| acts(context, "occupancy.resolution")) {
@@ -40,12 +40,12 @@ pub(super) fn cell(context: &Context<'_>) -> f64 {
     box_side(context.configured) / f64::from(context.configured.occupancy.resolution)
 }
 
-/// Side of a cube with the volume of the box.
+/// Returns the side of a cube with the volume of the box.
 pub(super) fn box_side(config: &Config) -> f64 {
     Aabb::<f64>::new(&config.scene).extent().iter().product::<f64>().cbrt()
 }
 
-/// World width of a pixel of the finest photographs in the middle of the box: the median over the views.
+/// Returns the world width of a pixel of the finest photographs in the middle of the box: the median over the views.
 pub(super) fn footprint(views: &ViewSet, aabb: &Aabb<f64>) -> Option<f64> {
     median_footprint(views, 0, aabb)
 }

@@ -1,5 +1,5 @@
-//! Decisions for the hash grid: when it is the encoder, its levels, and the resolution of its finest level. A place is a scene in
-//! contracted space.
+//! Decisions for the hash grid: whether it is the encoder, its levels, and the resolution of its finest level. A place is a scene
+//! in contracted space.
 
 use super::decision::{Context, Proposal};
 use super::fineness::{self, Fineness};
@@ -19,25 +19,26 @@ const ENTRIES: [i64; 2] = [17, 19];
 /// 0.4 dB on *fox* (43 photographs) and gains 0.2 dB on *bonsai* (255).
 const MANY_VIEWS: usize = 100;
 
-/// Budgets in samples from which the table is large: with fewer than [`MANY_VIEWS`] photographs, and with at least as many.
+/// Budgets, in samples, from which the table is large: for fewer than [`MANY_VIEWS`] photographs, and for at least that
+/// many.
 const MANY_SAMPLES: [f64; 2] = [1e9, 8e7];
 
-/// Learning rates for places: of the networks, and of the features as a multiple of it. With the networks' rate for planes, *fox*
-/// loses 0.7 dB after 90 s.
+/// Learning rates for places: of the networks, and of the features as a multiple of the networks' rate. With the networks' rate
+/// for planes, *fox* loses 0.7 dB after 90 s.
 const RATES: [f64; 2] = [5e-3, 16.0];
 
 /// Fraction of the occupancy cells sampled per update for places, whose steps are small.
 const PROBED: f64 = 0.02;
 
-/// Best width of the finest cells in pixel footprints: finer ones are hit by fewer rays and collide more often.
+/// Best width of the finest cells in pixel footprints: finer cells are hit by fewer rays and collide more often.
 const CELL: f64 = 1.3;
 
-/// Samples per second with the hash grid relative to planes, for a log2 of entries per level up to the last number, and above it
-/// (*fox* in 60 s, *bonsai* in 300 s, two cores).
+/// Samples per second with the hash grid relative to planes: for small tables, whose log2 of the entries per level is at most
+/// the last number, and for larger ones (*fox* in 60 s, *bonsai* in 300 s, two cores).
 const PACES: ([f64; 2], u32) = ([0.7, 0.6], 17);
 
-/// Samples per second with the configured encoder relative to planes. The plan prints budgets in samples of the encoder; its limits
-/// are in samples of planes.
+/// Returns the samples per second with the configured encoder relative to planes. The plan prints budgets in samples of the
+/// encoder; its limits are in samples of planes.
 pub(super) fn pace(config: &Config) -> f64 {
     let ([small, large], most) = PACES;
     match config.encoder.kind {
@@ -47,8 +48,8 @@ pub(super) fn pace(config: &Config) -> f64 {
     }
 }
 
-/// True if [`for_places`] will choose the hash grid once space is contracted: there are many pixels, and the user set neither
-/// the encoder nor a setting of another one.
+/// Returns true if [`for_places`] will choose the hash grid once space is contracted: there are many pixels, and the user set
+/// neither the encoder nor a setting of another encoder.
 pub(super) fn encodes_places(context: &Context<'_>) -> bool {
     let of_another = |path: &str| context.given(path) && !EncoderKind::HashGrid.takes(path);
     match context.configured.plan.encoder {
@@ -63,7 +64,7 @@ pub(super) fn encodes_places(context: &Context<'_>) -> bool {
     }
 }
 
-/// The encoder for places: product planes hold one object, and a room has more detail than they can hold.
+/// Proposes the hash grid for places: product planes can hold one object, but a room has more detail than they can hold.
 pub(super) fn for_places(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction == Contraction::None {
         return Proposal::Keep("the scene is bounded".into());
@@ -95,7 +96,7 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// A finest level whose cells follow the footprint of a pixel, never finer than configured.
+/// Sets the finest level so that its cells follow the footprint of a pixel, but are never finer than configured.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let (aabb, grid) = (Aabb::<f64>::new(&context.now.scene), &context.configured.hash_grid);
     let footprint = fineness::footprint(context.facts.train, &aabb);

@@ -11,11 +11,11 @@ fn megabytes(floats: usize) -> String {
     format!("{:.1} MB", floats as f64 * 4e-6)
 }
 
-/// Fewest and most occupancy cells along a side, and the number they are a multiple of.
+/// Fewest and most occupancy cells along a side; their number is a multiple of `CELL_UNIT`.
 const CELLS: [f64; 2] = [16.0, 1024.0];
 const CELL_UNIT: u32 = 8;
 
-/// Text about saved f32 values, as in `; planes of 12.6 MB instead of 50.3 MB`; empty if nothing is saved.
+/// Returns a text about saved f32 values, such as `; planes of 12.6 MB instead of 50.3 MB`; empty if nothing is saved.
 pub(super) fn saved(what: &str, after: usize, before: usize) -> String {
     let [less, more] = [after, before].map(megabytes);
     if after >= before || less == more {

@@ -1,6 +1,6 @@
-//! The scene plan: settings that follow the data and the budget, decided before training begins. Each decision looks at
-//! the cameras, the photographs and the machine, has a switch in `[plan]`, changes the values of other settings, and says
-//! why. The first decisions choose what to train, the next ones how, and the last ones leave out what the scene does not
+//! The scene plan: settings that follow the data and the budget, decided before training begins. Each decision looks at the
+//! cameras, the photographs and the machine, has a switch in `[plan]`, changes the values of other settings, and states the
+//! reason. The first decisions choose what to train, the next ones how, and the last ones leave out what the scene does not
 //! need.
 
 mod aabb;
@@ -39,7 +39,7 @@ use common_view::{at_one_place, cameras};
 use decision::{Context, Decision, Proposal};
 use decisions::DECISIONS;
 
-/// Keys of all decisions, as in `[plan]`.
+/// Returns the keys of all decisions, as in `[plan]`.
 pub fn keys() -> impl Iterator<Item = &'static str> {
     DECISIONS.iter().map(|decision| decision.key)
 }
@@ -76,10 +76,10 @@ pub fn make(settings: &mut Settings, facts: &Facts<'_>) -> Result<Vec<Finding>> 
     Ok(settled.into_iter().chain(decided?).collect())
 }
 
-/// Takes the decision on the box alone, which does not depend on the device, and changes `settings` accordingly.
+/// Takes only the decision on the box, which does not depend on the device, and changes `settings` accordingly.
 ///
 /// # Errors
-/// When it is `on` and cannot be taken.
+/// When the decision is `on` and cannot be taken.
 pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
     origin::settle(settings, facts)?;
     let (configured, given) = (Config::from_settings(settings)?, settings.clone());
@@ -87,8 +87,8 @@ pub fn make_box(settings: &mut Settings, facts: &Facts<'_>) -> Result<Finding> {
     take(&DECISIONS[0], settings, &given, &configured, facts)
 }
 
-/// Refuses cameras that only turn at one place, unless the user gives the box. A box that the data state is no sign of depth:
-/// exporters write `aabb_scale` for any poses.
+/// Refuses cameras that only rotate at one place, unless the user gives the box. A box that the data state is no sign of
+/// depth: exporters write `aabb_scale` for any poses.
 fn expect_depth(settings: &Settings, configured: &Config, facts: &Facts<'_>) -> Result<()> {
     let given =
         ["scene.aabb_min", "scene.aabb_max"].iter().any(|path| *settings.origin(path) != Origin::Default);
@@ -137,7 +137,7 @@ fn take(
         Proposal::Set { reason, changes } | Proposal::LeaveOut { reason, changes } => {
             let mut kind = now.encoder.kind;
             let mut told = Vec::new();
-            // A decision on tri-mip planes changes no setting of another encoder, and leaves nothing out there.
+            // Settings of other encoders are not changed. A decision that changes only such settings leaves nothing out.
             let left_out = left_out && changes.iter().any(|(path, _)| kind.takes(path));
             for (path, value) in changes {
                 if !kind.takes(path) {
@@ -158,11 +158,11 @@ fn take(
     }
 }
 
-/// Applies the decisions that a run made at its start: a resumed run is not planned again. Settings that differ from
-/// their values before the plan are kept; they make a different run.
+/// Applies the decisions that a run made at its start, because a resumed run is not planned again. Settings that differ
+/// from their values before the plan are kept; with them, the run is a different one.
 ///
 /// # Errors
-/// When a value does not fit.
+/// When a value has the wrong type.
 pub fn adopt(settings: &mut Settings, findings: &[Finding]) -> Result<()> {
     let config = Config::from_settings(settings)?;
     let off = |key: &str| {

@@ -1,5 +1,5 @@
-//! The local origin of a scene far from the origin of its coordinates. It is chosen when the scene is opened; this module makes it
-//! a setting, and converts the box and the crop that the user gave in the coordinates of the photographs.
+//! Local origin of a scene that is far from zero. It is chosen when the scene is opened; this module writes it into the settings,
+//! and converts the box and the crop that the user gave in the coordinates of the photographs.
 
 use super::facts::Facts;
 use super::finding::{Change, Finding};
@@ -13,11 +13,11 @@ pub(super) const KEY: &str = "origin";
 
 const SETTING: &str = "data.origin";
 
-/// Writes the scene's origin into the settings, and converts the places that they state to local coordinates. `None` if coordinates
-/// are those of the photographs, or if `data.origin` is given.
+/// Writes the scene's origin into the settings, and converts the places in them to local coordinates. Returns `None` if the
+/// coordinates are those of the photographs, or if `data.origin` is given.
 ///
 /// # Errors
-/// When a value does not fit.
+/// When a value has the wrong type.
 pub(super) fn settle(settings: &mut Settings, facts: &Facts<'_>) -> Result<Option<Finding>> {
     let origin = facts.origin;
     if origin.is_zero() || *settings.origin(SETTING) != Origin::Default {
@@ -60,7 +60,7 @@ fn reason(origin: LocalOrigin) -> String {
     )
 }
 
-/// The place in a setting as f64; a typed configuration has it as f32.
+/// Returns the place in a setting as f64; a typed configuration holds it as f32.
 fn place(settings: &Settings, path: &str) -> Option<[f64; 3]> {
     let numbers: Option<Vec<f64>> = settings.get(path)?.as_array()?.iter().map(Value::as_float).collect();
     numbers?.try_into().ok()
@@ -76,7 +76,8 @@ mod tests {
     use super::*;
     use crate::Config;
 
-    /// Places that the user gives are in the coordinates of the photographs, even if the plan's coordinates differ.
+    /// Checks that places that the user gives are taken in the coordinates of the photographs, even if the plan's
+    /// coordinates differ.
     #[test]
     fn given_places_of_a_far_scene_follow_its_origin() {
         let (train, compute) = (views(true), Compute::one_thread());

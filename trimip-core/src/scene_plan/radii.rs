@@ -3,13 +3,13 @@
 use crate::{Aabb, Camera};
 use glam::DVec3;
 
-/// Bounds of the radii, in world units, of the spheres of all pixels of `cameras` in `aabb`; 0 is the lower bound for a
-/// camera inside the box. `None` without cameras.
+/// Returns the bounds of the radii, in world units, of the spheres of all pixels of `cameras` in `aabb`. The lower bound is
+/// 0 for a camera inside the box. `None` without cameras.
 pub fn range<'a>(cameras: impl IntoIterator<Item = &'a Camera>, aabb: &Aabb<f64>) -> Option<[f64; 2]> {
     let (min, max) = (DVec3::from_array(aabb.min), DVec3::from_array(aabb.max));
     let of = |camera: &Camera| {
         let k = &camera.intrinsics;
-        // The radius of Eq. 3 falls from the optical axis to the corners.
+        // The radius of Eq. 3 decreases from the optical axis to the corners of the image.
         let clamp = |at: f64, side: u32| (at.max(0.0) as u32).min(side.saturating_sub(1));
         let (right, lower) = (k.width.saturating_sub(1), k.height.saturating_sub(1));
         let pixels =

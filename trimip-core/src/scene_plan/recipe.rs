@@ -1,5 +1,6 @@
-//! Training recipe of a scene: its background, whether models are solid, and the size of networks and steps for the number
-//! of samples that the time budget allows on this machine. A place is a scene in contracted space.
+//! Training recipe of a scene: the background, whether the opacity loss makes models solid, and the sizes of networks and
+//! steps. The sizes suit the number of samples that this machine can train on within the time budget. A place is a scene in
+//! contracted space.
 
 use super::decision::{Context, Proposal};
 use super::fineness::significant;
@@ -11,93 +12,96 @@ use crate::{
 };
 use toml::Value;
 
-/// Weight of the opacity loss where opacity is known: it makes models solid.
+/// Weight of the opacity loss, which makes models solid, if opacity is known.
 const OPACITY: f64 = 0.1;
 
 /// Weight of the distortion loss for places whose colours depend on the viewing direction from the start, and after a delay. The loss
-/// concentrates the density of a ray at its surface. Too large a weight moves all density in front of the cameras: 0.01 without a
-/// delay, 0.03 with one.
+/// concentrates the density of a ray at its surface. Too large a weight (0.01 without a delay, 0.03 with one) moves all density in
+/// front of the cameras.
 const DISTORTIONS: [f64; 2] = [1e-3, 5e-3];
 
 /// Fewest pixels of a place's photographs for a hash grid and opaque rays. With fewer pixels, the grid has more values than the
-/// photographs, and explains each of them by separate density in front of its camera.
+/// photographs, and explains each photograph by separate density in front of its camera.
 const MANY_PIXELS: usize = 1 << 20;
 
 /// Number of training photographs of a place from which colours depend on the viewing direction from the start. With 11 to 43
-/// photographs the delay gains 0.7 to 6 dB, with 85 and 255 it loses 0.2 to 0.4 dB.
+/// photographs the delay gains 0.7 to 6 dB; with 85 and 255 photographs it loses 0.2 to 0.4 dB.
 const MANY_VIEWS: usize = 60;
 
-/// Fraction of the run in which colours ignore the viewing direction, for places with fewer photographs.
+/// Fraction of the run in which colours ignore the viewing direction, for places with fewer photographs than
+/// [`MANY_VIEWS`].
 const DIRECTION_DELAY: f64 = 0.2;
 
-/// Weight up to which the samples of a ray merge, and transmittance behind which they are dropped. A step then has about twice as
-/// many rays of an object.
+/// Weight up to which the samples of a ray merge, and transmittance behind which they are dropped. For an object, a step then has
+/// about twice as many rays.
 const FAINT: f64 = 0.01;
 
 /// Longest side of the box for which `field.density_scale` is 1: Blender scenes at ±1.5 units.
 const USUAL_SIDE: f64 = 3.0;
 
-/// That side for places. With a quarter of the density, *fox* loses 1.1 dB in a minute.
+/// The same side for places. With a quarter of this density scale, *fox* loses 1.1 dB in a minute.
 const USUAL_PLACE: f64 = 20.0;
 
-/// Fraction of a step's pixels that are drawn by their errors.
+/// Fraction of a step's pixels that are drawn according to their errors.
 const BY_ERROR: f64 = 0.8;
 
-/// Most rays per pixel of the photographs in a run with an error map. With 5 rays per pixel (*dtu24*), the pixels that stay wrong
-/// are those where photographs contradict each other, and the map gains nothing.
+/// Largest number of rays per pixel of the photographs in a run with an error map. With 5 rays per pixel (*dtu24*), the pixels
+/// that stay wrong are those where photographs contradict each other, and the map gains nothing.
 const SEEN_LITTLE: f64 = 3.0;
 
-/// Most rays per pixel of the photographs in a run that starts on coarse scales. With 0.04 rays per pixel, *bonsai* gains 0.2 dB at
-/// 1/1 and 0.5 dB at 1/8; with 0.14, nothing.
+/// Largest number of rays per pixel of the photographs in a run that starts on coarse scales. With 0.04 rays per pixel, *bonsai*
+/// gains 0.2 dB at 1/1 and 0.5 dB at 1/8; with 0.14, nothing.
 const SEEN_HARDLY: f64 = 0.1;
 
-/// `train.finest_scale` over such a run, and the `train.scale_weighting` that gives every scale equally many rays.
+/// Schedule of `train.finest_scale` for a run that starts on coarse scales, and the `train.scale_weighting` that gives
+/// every scale equally many rays.
 const COARSE_FIRST: &[[f64; 2]] = &[[0.0, 1.0], [0.5, 0.0]];
 const SCALES_ALIKE: f64 = 1.0;
 
-/// Kept samples per ray, for objects and for places.
+/// Expected number of kept samples per ray, for objects and for places.
 const SAMPLES_PER_RAY: [f64; 2] = [2.0, 5.0];
 
 /// Alpha of an opaque pixel.
 const OPAQUE: u8 = 255;
 
-/// Best width of the networks for budgets of fewer samples than the first number; the last width has no limit.
+/// Best width of the networks for budgets of fewer samples than the first number; the last width has no upper limit.
 const WIDTHS: [(f64, u32); 3] = [(1e8, 32), (1e9, 64), (f64::INFINITY, 128)];
 
-/// Least width of the networks for places. Narrower ones leave density in front of the cameras of *bonsai*.
+/// Least width of the networks for places. Narrower networks leave density in front of the cameras of *bonsai*.
 const PLACE_WIDTH: u32 = 64;
 
-/// Budgets in samples from which the final marching step is the uniform step, and half of it.
+/// Budgets, in samples, from which the final marching step is the uniform step, and from which it is half of the uniform
+/// step.
 const FINE_STEPS: [f64; 2] = [1.5e9, 4e9];
 
 /// Fewest steps of a run, so that its schedules have an effect.
 const LEAST_STEPS: f64 = 1500.0;
 
-/// Samples per step for a device that needs large batches, for a long run, and the range for short runs.
+/// Samples per step: for a device that needs large batches, for a long run, and the range for short runs.
 const WIDE_BATCH: i64 = 262_144;
 const LONG_BATCH: i64 = 65_536;
 const SHORT_BATCHES: [u64; 2] = [4096, 32_768];
 
-/// Marching steps over a run of an object, for budgets below both of [`FINE_STEPS`], between them, and above: long steps learn the
-/// rough shape from few samples.
+/// Marching steps over a run of an object: for budgets below both of [`FINE_STEPS`], between them, and above both. Long steps
+/// learn the rough shape from few samples.
 const SHORT_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.5, 2.0]];
 const LONG_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.1, 4.0], [0.4, 2.0], [0.7, 1.0]];
 const LONGEST_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.0146, 4.0], [0.0583, 2.0], [0.292, 1.0], [0.972, 0.5]];
 
-/// Marching steps over a run of a place. Surfaces of places are thin and seen at grazing angles. Half of the uniform step at the end gains
-/// 0.35 dB on *fox* after 600 s and 0.5 dB on *bonsai* after 1300 s of one thread; a quarter gains nothing more.
+/// Marching steps over a run of a place. Surfaces of places are thin and seen at grazing angles. A final step of half the uniform step
+/// gains 0.35 dB on *fox* after 600 s and 0.5 dB on *bonsai* after 1300 s of one thread; a final quarter gains nothing more.
 const PLACE_STEPS: &[[f64; 2]] = &[[0.0, 8.0], [0.08, 4.0], [0.25, 2.0], [0.45, 1.0], [0.7, 0.5]];
 
-/// Batch size over a long run: half at first, while samples are alike.
+/// Scale of the batch size over a long run: half at first, while samples resemble each other.
 const LONG_BATCH_SCALE: &[[f64; 2]] = &[[0.0, 0.5], [0.292, 1.0]];
 
-/// Milestones of the learning rate for the longest runs: it falls to a hundredth.
+/// Milestones of the learning rate for the longest runs: the rate falls to a hundredth.
 const MILESTONES: [f64; 9] = [0.437, 0.583, 0.68, 0.758, 0.816, 0.865, 0.904, 0.933, 0.98];
 
 /// Width of the hidden layers for the largest budgets (paper).
 const WIDEST: u32 = 128;
 
-/// True if any pixel of the training photographs is not opaque. Pixels that a mask leaves out are not transparent.
+/// Returns true if any pixel of the training photographs is not opaque. Pixels that a mask leaves out are not transparent.
 pub(super) fn has_alpha(views: &ViewSet) -> bool {
     let Some(coarsest) = views.scales.last() else { return false };
     views.alpha.is_opacity() && views.pixels[coarsest.pixels.clone()].iter().any(|pixel| pixel[3] < OPAQUE)
@@ -167,12 +171,13 @@ pub(super) fn hull(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// True if the opacity of every pixel is known: from alpha, or because space is unbounded and every ray meets something.
+/// Returns true if the opacity of every pixel is known: from alpha, or because space is unbounded and every ray meets
+/// something.
 pub(super) fn knows_opacity(config: &Config, views: &ViewSet) -> bool {
     has_alpha(views) || config.scene.contraction != Contraction::None
 }
 
-/// True if the finest photographs have at least [`MANY_PIXELS`] pixels.
+/// Returns true if the finest photographs have at least [`MANY_PIXELS`] pixels.
 pub(super) fn has_many_pixels(views: &ViewSet) -> bool {
     views.scales.first().is_some_and(|finest| finest.pixels.len() >= MANY_PIXELS)
 }
@@ -211,8 +216,8 @@ pub(super) fn surfaces(context: &Context<'_>) -> Proposal {
     Proposal::Set { reason: reason.into(), changes }
 }
 
-/// Delays view dependence for a place in few photographs: otherwise density in front of each camera could show that camera's
-/// picture alone.
+/// Delays view dependence for a place in few photographs: otherwise density in front of each camera could reproduce that
+/// camera's photograph.
 pub(super) fn direction_delay(context: &Context<'_>) -> Proposal {
     if context.now.scene.contraction == Contraction::None {
         return Proposal::Keep("the scene is bounded".into());
@@ -232,8 +237,8 @@ pub(super) fn direction_delay(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// Density is per unit of length. Its scale follows the box, so that the transmittance of a new model does not depend on the unit.
-/// Rounding to powers of two gives the usual boxes of objects a scale of 1.
+/// Chooses the scale of the density, which is per unit of length. The scale follows the box, so that the transmittance of a new
+/// model does not depend on the unit. Rounding to powers of two gives the usual boxes of objects a scale of 1.
 pub(super) fn density(context: &Context<'_>) -> Proposal {
     let side = Aabb::<f64>::new(&context.now.scene).longest();
     let scale = match context.now.scene.contraction {
@@ -263,7 +268,7 @@ pub(super) fn error_map(context: &Context<'_>) -> Proposal {
     }
 }
 
-/// Expected rays per pixel of the photographs within the budget, and the text that states them.
+/// Returns the expected number of rays per pixel of the photographs within the budget, and the text that states it.
 fn seen(context: &Context<'_>) -> (f64, String) {
     let pixels = context.facts.train.pixels.len() as f64;
     let [object, place] = SAMPLES_PER_RAY;
@@ -278,7 +283,8 @@ fn seen(context: &Context<'_>) -> (f64, String) {
     )
 }
 
-/// A run that draws few of the pixels learns more from coarse ones, each of which is the mean of many.
+/// Starts a run on coarse scales if it draws few of the pixels: it learns more from coarse pixels, each of which is the
+/// mean of many.
 pub(super) fn coarse_to_fine(context: &Context<'_>) -> Proposal {
     let (seen, often) = seen(context);
     if seen > SEEN_HARDLY {
@@ -296,7 +302,7 @@ pub(super) fn coarse_to_fine(context: &Context<'_>) -> Proposal {
     Proposal::Set { reason: format!("{often}: {told}"), changes }
 }
 
-/// A schedule as a value of a setting.
+/// Converts a schedule to the value of a setting.
 fn pieces(pieces: &[[f64; 2]]) -> Value {
     Value::Array(pieces.iter().map(|pair| Value::Array(pair.map(Value::Float).to_vec())).collect())
 }

@@ -6,11 +6,11 @@ use super::{radii, tri_mip};
 use crate::Aabb;
 use toml::Value;
 
-/// Levels beyond the largest Gaussian that are kept, for cameras farther away.
+/// Number of levels above that of the largest Gaussian that are kept, for cameras farther away.
 const SPARE_LEVELS: f64 = 1.0;
 
-/// Planes whose texels follow the footprint of a pixel and the budget, like those of tri-mip planes, and are never finer than
-/// configured; with the levels that the cameras of the set need.
+/// Sets the size of the planes and the number of levels. Texels follow the footprint of a pixel and the budget, like those of
+/// tri-mip planes, and are never finer than configured. The levels are those that the cameras of the set need.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let (aabb, given) = (Aabb::<f64>::new(&context.now.scene), &context.configured.rip_map);
     let footprint = fineness::footprint(context.facts.train, &aabb);
@@ -23,7 +23,7 @@ pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let cameras = context.facts.train.views.iter().map(|view| &view.camera).chain(context.facts.test);
     let levels = radii::range(cameras, &aabb).filter(|_| fineness::acts(context, "rip_map.levels"));
     let levels = levels.map(|[_, radius]| {
-        // Standard deviations of a disc and of an interval.
+        // The larger of the standard deviations of a disc and of an interval.
         let widest = (radius / 2.0).max(f64::from(context.now.step_length()) / 12_f64.sqrt());
         let highest = (4.0 * widest / texel).log2() + f64::from(given.level_bias);
         ((highest + SPARE_LEVELS).ceil().max(0.0) as u32 + 1).min(given.levels)

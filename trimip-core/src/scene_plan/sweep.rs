@@ -1,5 +1,5 @@
-//! A plane sweep (Collins, A space-sweep approach to true multi-image matching, 1996): of all planes across the cameras' viewing
-//! direction, they see the one on which neighbouring photographs have the same colours.
+//! A plane sweep (Collins, A space-sweep approach to true multi-image matching, 1996) over planes perpendicular to the cameras'
+//! viewing direction. The plane that the cameras see is the one on which neighbouring photographs have the same colours.
 
 use crate::scene::strays::strays;
 use crate::{Camera, Scale, ViewSet};
@@ -8,22 +8,22 @@ use glam::DVec3;
 /// Largest side of the pictures that are compared, pixels.
 const SIDE: u32 = 96;
 
-/// Number of pictures, and of neighbours that each is compared with.
+/// Number of pictures, and number of neighbours that each picture is compared with.
 const PICTURES: usize = 8;
 const NEIGHBOURS: usize = 4;
 
-/// Places along each side of a picture whose colours are compared.
+/// Number of places along each side of a picture whose colours are compared.
 const PLACES: u32 = 16;
 
-/// Each plane is this many times as far away as the one before.
+/// Ratio of the distance of each plane to that of the plane before.
 const STEP: f64 = 1.05;
 
-/// A neighbouring picture shows this share of a picture's part of the nearest plane; the farthest plane shifts by this many pixels
-/// between neighbours.
+/// Share of a picture's part of the nearest plane that a neighbouring picture shows too, and number of pixels by which the
+/// farthest plane shifts between neighbours.
 const LEAST_SHARED: f64 = 0.2;
 const LEAST_PIXELS: f64 = 1.0;
 
-/// A plane is seen if its colours differ by less than this share of the median over all planes.
+/// A plane counts as seen if the difference of its colours is less than this share of the median over all planes.
 const AGREES: f64 = 0.6;
 
 /// A camera and its picture: mean colours of blocks of pixels.
@@ -33,7 +33,7 @@ struct Picture {
 }
 
 impl Picture {
-    /// View `index`, with its blocks as pixels.
+    /// Reduces view `index` so that its longer side has at most [`SIDE`] pixels.
     fn of(views: &ViewSet, index: usize) -> Self {
         let camera = views.views[index].camera;
         let longer = camera.intrinsics.width.max(camera.intrinsics.height);
@@ -42,7 +42,7 @@ impl Picture {
         Self { camera, colors: views.means(index, 1 << level) }
     }
 
-    /// The colour at a place of the world; `None` if it is not in the picture.
+    /// Returns the colour of a place of the world; `None` if the place is not in the picture.
     fn color(&self, place: DVec3) -> Option<[f64; 4]> {
         let k = &self.camera.intrinsics;
         let [x, y] = k.image_of(self.camera.rotation.transpose() * (place - self.camera.origin))?;
@@ -54,7 +54,8 @@ impl Picture {
 /// Two pictures of neighbouring cameras.
 type Pair<'a> = (&'a Picture, &'a Picture);
 
-/// Distance from `midst` along `direction` of the plane that the cameras see; `None` if the photographs agree on none.
+/// Returns the distance from `midst` along `direction` of the plane that the cameras see; `None` if the photographs agree
+/// on none.
 pub(super) fn distance(views: &ViewSet, midst: DVec3, direction: DVec3) -> Option<f64> {
     let enough = |scale: &&Scale| {
         let first = views.views.get(scale.views.start).map(|view| view.camera.intrinsics);
@@ -104,7 +105,8 @@ pub(super) fn distance(views: &ViewSet, midst: DVec3, direction: DVec3) -> Optio
     tried.first().filter(|(least, _)| *least < AGREES * median).map(|(_, plane)| *plane)
 }
 
-/// Mean difference of colours of the plane through `at` across `direction`; `None` if the pictures share too little of it.
+/// Returns the mean difference of the colours on the plane through `at` perpendicular to `direction`; `None` if the
+/// pictures share too little of the plane.
 fn difference(pairs: &[Pair<'_>], at: DVec3, direction: DVec3) -> Option<f64> {
     let (mut sum, mut shared, mut all) = (0.0, 0_u32, 0_u32);
     for (own, other) in pairs {
@@ -118,7 +120,7 @@ fn difference(pairs: &[Pair<'_>], at: DVec3, direction: DVec3) -> Option<f64> {
             let (origin, ray) = (DVec3::from(cone.origin), DVec3::from(cone.direction));
             let distance = (at - origin).dot(direction) / ray.dot(direction);
             all += 1;
-            // The negated comparison also leaves out rays along the plane.
+            // The negated comparison also leaves out rays parallel to the plane.
             if !(distance > 0.0 && distance.is_finite()) {
                 continue;
             }

@@ -1,4 +1,4 @@
-//! Whole plans of small scenes.
+//! Tests of whole plans for small scenes.
 
 mod budgets;
 mod places;
@@ -10,12 +10,12 @@ use crate::scene::{cones::PixelPattern, depths::KnownDepth, origin::LocalOrigin}
 use crate::{Aabb, Alpha, Camera, Intrinsics, Scale, View, ViewSet};
 use glam::DVec3;
 
-/// Sixteen views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
+/// Returns sixteen views of a ball of radius 0.4 around (0.5, 0, 0), at two scales.
 pub(super) fn views(alpha: bool) -> ViewSet {
     views_of(alpha, 16)
 }
 
-/// `count` such views. Sixteen have 2^20 pixels at the finest scale.
+/// Returns `count` such views. Sixteen have 2^20 pixels at the finest scale.
 fn views_of(alpha: bool, count: u32) -> ViewSet {
     let mut set = ViewSet {
         views: Vec::new(),
@@ -60,7 +60,7 @@ fn planned(train: &ViewSet, set: &[&str]) -> Result<(Config, Vec<Finding>)> {
     Ok((Config::from_settings(&settings)?, findings))
 }
 
-/// The finding of a decision.
+/// Returns the finding of a decision.
 fn of<'a>(findings: &'a [Finding], decision: &str) -> &'a Finding {
     findings.iter().find(|finding| finding.decision == decision).unwrap()
 }
@@ -69,7 +69,7 @@ fn of<'a>(findings: &'a [Finding], decision: &str) -> &'a Finding {
 fn levels_are_sharper_where_texels_are_as_fine_as_pixels_see() {
     let bias = |set: &[&str]| planned(&views(true), set).unwrap().0.encoder.level_bias;
     assert_eq!(bias(&[]), -0.5);
-    // Planes of 16 texels over the ball: each is as wide as some five pixels.
+    // Planes of 16 texels over the ball: each texel is about as wide as five pixels.
     assert_eq!(bias(&["encoder.plane_size=16", "encoder.levels=3"]), 0.0);
     assert_eq!(bias(&["encoder.level_bias=0.25"]), 0.25, "a setting that is given stays");
 }
@@ -102,7 +102,7 @@ fn cones_are_about_as_wide_as_pixels_of_the_finest_photographs() {
 fn edge_exponents_are_those_of_the_photographs() {
     let exponents = |train: &ViewSet, set: &[&str]| planned(train, set).unwrap().0.data.edge_exponents;
     let mut train = views(true);
-    // Means of straight colours in which clear pixels are black: colour times alpha is P·A.
+    // Means of straight colours in which transparent pixels are black: colour times alpha is P·A.
     for i in train.scales[1].views.clone() {
         let (fine, coarse) = (i - train.scales[1].views.start, train.views[i].offset);
         let means = train.means(fine, 2);
@@ -149,7 +149,7 @@ fn ripmaps_are_as_fine_as_planes_and_have_the_levels_that_cameras_need() {
     assert_eq!(given.rip_map.levels, 7, "a setting that is given stays");
 }
 
-/// The plan reports only what it sets.
+/// Checks that the plan reports only what it sets.
 #[test]
 fn the_budget_says_nothing_of_the_settings_of_another_encoder() {
     let train = views(true);
@@ -183,7 +183,7 @@ fn a_small_object_needs_a_small_box_and_given_texels_steps_and_cells_stay_as_wid
     assert_eq!(config.file.planes, FilePrecision::F16);
 }
 
-/// The same scene in other units, somewhere else: box, texels and steps follow.
+/// Checks that box, texels and steps follow if the same scene is given in other units and at another place.
 #[test]
 fn the_box_and_its_detail_do_not_depend_on_units_or_place() {
     let near = views(true);
@@ -323,7 +323,7 @@ fn cameras_at_one_place_are_refused() {
 
 #[test]
 fn cameras_at_one_place_but_for_rounding_are_refused() {
-    // The translations of world-to-camera matrices of cameras on a circle, which get a local origin.
+    // These are the translations of world-to-camera matrices of cameras on a circle; such cameras get a local origin.
     let mut train = views(false);
     let stated: Vec<Camera> = (train.views.iter().enumerate())
         .map(|(i, view)| Camera { origin: DVec3::new(4e-16 * i as f64, 0.0, -2.5), ..view.camera })
@@ -429,7 +429,7 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     assert_eq!(bounded.renderer.step_scale.at(1.0), 2.0);
 }
 
-/// A resumed run adopts the decisions of its start from their record.
+/// Checks that a resumed run adopts the decisions of its start from their record.
 #[test]
 fn decisions_on_the_encoder_are_adopted() {
     let train = views(false);
@@ -495,7 +495,7 @@ fn no_sphere_of_any_camera_reaches_a_level_that_is_left_out() {
             let top = most.log2() - pyramid.log2_base_radius[plane];
             assert!(top <= (pyramid.levels - 1) as f64, "{set:?}: level {top} of {}", pyramid.levels);
             assert!(pyramid.levels < 8, "{set:?}");
-            // Whatever was left out below, spheres still lie near the base or under it.
+            // Although fine levels are left out, spheres still lie near the base level or below it.
             assert!(least.log2() - pyramid.log2_base_radius[plane] < 1.5, "{set:?}");
         }
     }
@@ -520,8 +520,8 @@ fn what_the_user_set_and_what_cannot_be_known_stays() {
     assert_eq!(Config { plan: Config::default().plan, ..config }, Config::default());
 }
 
-/// Photographs that show their surroundings get a cube of contracted space with the cameras in its middle, whatever box the
-/// data state. Photographs with alpha, a given box or a contraction of "none" keep space bounded.
+/// Checks that photographs that show their surroundings get a cube of contracted space with the cameras in its middle,
+/// whatever box the data state, and that photographs with alpha, a given box or a contraction of "none" keep space bounded.
 #[test]
 fn surroundings_are_contracted() {
     let train = views(false);
@@ -548,7 +548,7 @@ fn surroundings_are_contracted() {
     }
 }
 
-/// Whatever the user gives, the plan decides nothing that is refused with it.
+/// Checks that no decision of the plan contradicts the settings that the user gives.
 #[test]
 fn a_given_contraction_of_photographs_with_alpha_is_planned() {
     let (config, findings) = planned(&views(true), &["scene.contraction=ball"]).unwrap();
@@ -560,7 +560,7 @@ fn a_given_contraction_of_photographs_with_alpha_is_planned() {
 #[test]
 fn a_saving_is_told_where_there_is_one() {
     assert_eq!(leave_out::saved("planes", 10_000_000, 20_000_000), "; planes of 40.0 MB instead of 80.0 MB");
-    // Two sizes that read the same, the same size, and a larger one.
+    // Two sizes with the same text, two equal sizes, and a size that grows.
     for (after, before) in [(16_775_000, 16_777_216), (5, 5), (20_000_000, 10_000_000)] {
         assert_eq!(leave_out::saved("planes", after, before), "");
     }
@@ -590,7 +590,7 @@ fn a_run_goes_on_with_the_plan_it_began_with() {
         Config::from_settings(&settings).unwrap()
     };
     assert_eq!(again(&["encoder.plane_size=256"]), began);
-    // Other settings, or no plan, make another run.
+    // Other settings, or a decision that is switched off, make another run.
     assert!(!again(&["encoder.plane_size=512"]).differences(&began).is_empty());
     assert!(!again(&["encoder.plane_size=256", "plan.aabb=off"]).differences(&began).is_empty());
 }

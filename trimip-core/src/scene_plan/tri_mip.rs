@@ -9,11 +9,11 @@ use crate::field::encoders::tri_mip::Pyramid;
 use crate::{Aabb, Config};
 use toml::Value;
 
-/// Mip levels beyond the largest sphere that are kept, for cameras farther away.
+/// Number of mip levels above that of the largest sphere that are kept, for cameras farther away.
 const SPARE_LEVELS: u32 = 1;
 
 /// Best width of a texel in pixel footprints, for budgets of fewer samples than the first number: finer texels are hit by
-/// fewer rays, and every step visits all of them.
+/// fewer rays, and every step visits all texels.
 const TEXELS: [(f64, f64); 3] = [(1e8, 2.4), (1e9, 2.1), (f64::INFINITY, 1.6)];
 
 /// Fewest texels along a side: smaller planes are too coarse for their mip levels.
@@ -28,11 +28,11 @@ const SAME_TEXEL: f64 = 1e-3;
 /// Level bias for fine texels: coarse views gain more than the finest ones lose.
 const LEVEL_BIAS: f64 = -0.5;
 
-/// Texels up to this many pixel footprints are fine. With wider ones most spheres read the base level, and blur helps
-/// training.
+/// Texels of up to this many pixel footprints count as fine. With wider texels most spheres read the base level, and blur
+/// helps training.
 const FINE_TEXELS: f64 = 3.0;
 
-/// Planes of texels that follow the footprint of a pixel.
+/// Sets the size of the planes so that texels follow the footprint of a pixel.
 pub(super) fn detail(context: &Context<'_>) -> Fineness {
     let width = texel(context);
     let size = sets_planes(context).then(|| plane_size(context.now, width));
@@ -40,12 +40,12 @@ pub(super) fn detail(context: &Context<'_>) -> Fineness {
     Fineness { what: "texels", width, changes: change.into_iter().collect() }
 }
 
-/// True if this decision sets the size of the planes.
+/// Returns true if this decision sets the size of the planes.
 pub(super) fn sets_planes(context: &Context<'_>) -> bool {
     fineness::acts(context, "encoder.plane_size")
 }
 
-/// World width of a texel along the longest side of the box, from the settings or this decision.
+/// Returns the world width of a texel along the longest side of the box, from the settings or this decision.
 pub(super) fn texel(context: &Context<'_>) -> f64 {
     let longest = Aabb::<f64>::new(&context.now.scene).longest();
     match fineness::footprint(context.facts.train, &Aabb::new(&context.now.scene))
@@ -59,24 +59,24 @@ pub(super) fn texel(context: &Context<'_>) -> f64 {
     }
 }
 
-/// Width of a texel in pixel footprints; `None` without photographs.
+/// Returns the width of a texel in pixel footprints; `None` without photographs.
 pub(super) fn texel_in_pixels(context: &Context<'_>) -> Option<f64> {
     let footprint = fineness::footprint(context.facts.train, &Aabb::new(&context.now.scene))?;
     Some(texel(context) / footprint)
 }
 
-/// Width of a texel in pixel footprints for the budget.
+/// Returns the width of a texel in pixel footprints for the budget.
 pub(super) fn width_for_budget(context: &Context<'_>) -> f64 {
     let samples = context.budget();
     TEXELS.iter().find(|(most, _)| samples < *most).map_or(1.6, |(_, width)| *width)
 }
 
-/// World width of a texel of the configured planes, along the longest side.
+/// Returns the world width of a texel of the configured planes, along the longest side.
 pub(super) fn configured_texel(configured: &Config) -> f64 {
     Aabb::<f64>::new(&configured.scene).longest() / f64::from(configured.encoder.plane_size)
 }
 
-/// The smallest number of texels along the longest side that is no coarser than `texel`.
+/// Returns the smallest valid number of texels along the longest side that makes them no wider than `texel`.
 pub(super) fn plane_size(config: &Config, texel: f64) -> u32 {
     let unit = config.encoder.texel_unit();
     let longest = Aabb::<f64>::new(&config.scene).longest();
@@ -84,7 +84,7 @@ pub(super) fn plane_size(config: &Config, texel: f64) -> u32 {
     enough.next_multiple_of(unit).clamp(unit.max(4), MOST_TEXELS / unit * unit)
 }
 
-/// A level bias, if texels are fine.
+/// Returns a level bias, if texels are fine.
 pub(super) fn level_bias(context: &Context<'_>) -> Option<(&'static str, Value)> {
     let fine = texel_in_pixels(context).is_some_and(|width| width <= FINE_TEXELS);
     fine.then_some(("encoder.level_bias", Value::Float(LEVEL_BIAS)))
@@ -104,7 +104,7 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
         return Proposal::Keep("there is no camera".into());
     };
     let levels = now.encoder.levels;
-    // The range of levels over the planes of a configuration.
+    // The range of the spheres' levels over all planes of a configuration.
     let range = |config: &Config| {
         let base = Pyramid::new(&config.encoder, &aabb).log2_base_radius;
         let lowest = base.map(|base| least.log2() - base).into_iter().fold(f64::INFINITY, f64::min);
@@ -112,7 +112,7 @@ pub(super) fn levels(context: &Context<'_>) -> Proposal {
         [lowest, highest]
     };
     let [lowest, highest] = range(now);
-    // Drops the finest levels that all spheres lie above.
+    // The finest levels, which lie below those of all spheres, are dropped.
     let below = (lowest.floor().max(0.0) as u32).min(levels - 1);
     let above = (highest.ceil().max(0.0) as u32 + 1 + SPARE_LEVELS).min(levels);
     let reach = match lowest.is_finite() {

@@ -1,21 +1,24 @@
-//! The up direction of a scene, from the places and directions of its cameras. It keeps rendered pictures upright.
+//! The up direction of a scene, from the positions and directions of its cameras. The up direction keeps rendered pictures
+//! upright.
 
 use super::common_view::cameras;
 use super::facing::{Facing, axes};
 use crate::ViewSet;
 use glam::DVec3;
 
-/// The cameras' own up directions agree if their mean is this long.
+/// The cameras' own up directions agree if the length of their mean is at least this.
 const AGREE: f64 = 0.3;
 
-/// Cameras that look along one direction pass over a ground if their region is at least this share of a picture along both axes;
-/// cameras that face a subject stay within a smaller region.
+/// Cameras that look along one direction pass over a ground if their region is at least this share of a picture's footprint
+/// along both axes; cameras that face a subject stay within a smaller region.
 const OVER: f64 = 0.5;
 
-/// Places lie in a plane if their spread across it is at most this share of the smaller spread within.
+/// Positions lie in a plane if their spread perpendicular to the plane is at most this share of the smaller spread within
+/// it.
 const FLAT: f64 = 0.3;
 
-/// Least cosine between the cameras' mean viewing direction and the normal of their plane that distinguishes its sides.
+/// Least |cosine| between the cameras' mean viewing direction and the normal of their plane that distinguishes the two
+/// sides of the plane.
 const SIDED: f64 = 0.1;
 
 /// The up direction, and its source.
@@ -23,7 +26,7 @@ const SIDED: f64 = 0.1;
 pub(super) struct Up {
     /// The direction, rounded to two digits; `None` if it is unknown.
     pub(super) direction: Option<DVec3>,
-    /// Text for the plan; `None` if it is simply the mean of the cameras' own up directions.
+    /// Text for the plan; `None` if the direction is simply the mean of the cameras' own up directions.
     pub(super) reason: Option<String>,
 }
 
@@ -82,7 +85,8 @@ mod tests {
     use crate::{Alpha, Camera, Intrinsics, Scale, View};
     use glam::DMat3;
 
-    /// Views of the ground z = 0, painted with waves that repeat nowhere, and grey above the horizon.
+    /// Returns views of the ground z = 0, which is painted with waves that repeat nowhere; the views are grey above the
+    /// horizon.
     fn views(cameras: &[Camera]) -> ViewSet {
         let mut set = ViewSet {
             views: Vec::new(),
@@ -120,7 +124,7 @@ mod tests {
         Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0, ..Intrinsics::default() }
     }
 
-    /// A camera that looks along a direction, turned around it by quarters of a circle.
+    /// Returns a camera that looks along a direction, rolled around it by quarters of a circle.
     fn look(origin: DVec3, along: DVec3, up: DVec3, quarters: u32) -> Camera {
         let camera = Camera::look_at(intrinsics(), origin, origin + along, up);
         let roll = DMat3::from_rotation_z(f64::from(quarters) * std::f64::consts::FRAC_PI_2);
@@ -136,7 +140,7 @@ mod tests {
         (0..24).map(camera).collect()
     }
 
-    /// Five by five cameras half a unit apart that look straight down, each tilted by up to `tilt` radians.
+    /// Returns five by five cameras half a unit apart that look straight down, each tilted by up to `tilt` radians.
     fn nadir(height: f64, tilt: f64, heading: fn(u32) -> DVec3) -> Vec<Camera> {
         let camera = |i: u32| {
             let origin = DVec3::new(0.5 * f64::from(i % 5), 0.5 * f64::from(i / 5), height);
@@ -146,8 +150,8 @@ mod tests {
         (0..25).map(camera).collect()
     }
 
-    /// The up direction, and the cameras' ball if they look along one direction. Both must follow when the world is turned, moved and
-    /// scaled.
+    /// Returns the up direction, and the cameras' ball if they look along one direction. Checks that both follow when the world is
+    /// rotated, moved and scaled.
     fn found(cameras: &[Camera]) -> (Up, Option<(DVec3, f64)>) {
         let mut set = views(cameras);
         let facing = Facing::of(&set);
@@ -184,7 +188,7 @@ mod tests {
         let (up, facing) = found(&orbit(|_| 0));
         assert_up(&up, DVec3::Z);
         assert!(up.reason.is_none() && facing.is_none());
-        // All cameras rolled by a quarter, or rolled differently: their own up directions cancel each other.
+        // All cameras are rolled by a quarter turn, or rolled differently: their own up directions cancel each other.
         let held: [fn(u32) -> u32; 3] = [|_| 1, |i| i % 4, |i| 2 * (i % 2)];
         for quarters in held {
             let (up, facing) = found(&orbit(quarters));
@@ -206,7 +210,7 @@ mod tests {
             assert!(up.reason.unwrap().contains("pass over"));
             let (centre, radius) = ball.unwrap();
             assert!((centre.z / height).abs() < 0.12, "{height}, {tilt}: {centre}");
-            // All that the pictures show of the ground is in the ball.
+            // Everything that the pictures show of the ground is in the ball.
             for camera in &cameras {
                 for (x, y) in [(0, 0), (63, 0), (0, 47), (63, 47)] {
                     let cone = camera.cone::<f64>(x, y);

@@ -5,14 +5,14 @@ use super::facts::Facts;
 use crate::config::Contraction;
 use crate::{Aabb, Config, ViewSet};
 
-/// Pixels sampled along each side of a photograph to measure its coverage by the box.
+/// Number of pixels sampled along each side of a photograph to measure how much of it the box covers.
 const PROBES: u32 = 24;
 
 /// Coverage of the photographs below which a warning is given.
 const ENOUGH: f64 = 0.5;
 
-/// Share of the pixels with alpha above one half (of the object, or kept by masks) whose rays hit the box; `None` without any
-/// such pixel.
+/// Returns the share of the pixels with alpha above one half (of the object, or kept by masks) whose rays hit the box; `None`
+/// if there is no such pixel.
 pub(super) fn coverage(config: &Config, views: &ViewSet) -> Option<f64> {
     let aabb = Aabb::<f64>::new(&config.scene);
     let finest = views.scales.first()?;
@@ -37,7 +37,7 @@ pub(super) fn coverage(config: &Config, views: &ViewSet) -> Option<f64> {
     (shown > 0).then(|| met as f64 / shown as f64)
 }
 
-/// Warnings about the planned box, one line each.
+/// Returns the warnings about the planned box, one line each.
 pub fn warnings(config: &Config, facts: &Facts<'_>) -> Vec<String> {
     let mut warnings = Vec::new();
     let alone = focus(&cameras(facts.train)).is_none() && facts.stated.is_none();

@@ -9,8 +9,8 @@ pub struct Checker<'a> {
 }
 
 impl<'a> Checker<'a> {
-    /// `place` turns a dotted path into the place where its value was set; `given` is false for
-    /// settings that have their defaults.
+    /// Creates a checker. `place` returns the place where the value of a dotted path was set; `given` is false for settings
+    /// that have their defaults.
     pub fn new(place: &'a dyn Fn(&str) -> Place, given: &'a dyn Fn(&str) -> bool) -> Self {
         Self { place, given }
     }
@@ -20,7 +20,7 @@ impl<'a> Checker<'a> {
         (self.place)(path)
     }
 
-    /// False if a setting has its default.
+    /// Returns false if a setting has its default.
     pub fn given(&self, path: &str) -> bool {
         (self.given)(path)
     }
@@ -28,7 +28,7 @@ impl<'a> Checker<'a> {
     /// Refuses the setting `path` unless `ok`.
     ///
     /// # Errors
-    /// Of kind `Input`; the error names the place, and what is expected.
+    /// The error is of kind `Input` and names the place and the expected value.
     pub fn check(&self, ok: bool, path: &str, expected: &str) -> Result<()> {
         match ok {
             true => Ok(()),
@@ -36,10 +36,10 @@ impl<'a> Checker<'a> {
         }
     }
 
-    /// Like [`check`](Self::check), for a condition on several settings: the error names the first of them that was given.
+    /// Refuses settings that do not fit together, unless `ok`. The error names the first setting of `paths` that was given.
     ///
     /// # Errors
-    /// As [`check`](Self::check).
+    /// Fails for the reasons of [`check`](Self::check).
     pub fn together(&self, ok: bool, paths: &[&str], expected: &str) -> Result<()> {
         let given = paths.iter().find(|path| (self.given)(path)).or(paths.first());
         self.check(ok, given.unwrap_or(&""), expected)

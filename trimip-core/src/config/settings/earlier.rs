@@ -1,6 +1,7 @@
 //! Settings of earlier versions, which old configurations, runs and model files still name.
 
-/// Retired settings: path, the only value that is accepted (and ignored), and the text that refuses any other value.
+/// Retired settings: path, the only value that is accepted (and ignored), and the expected value that the error about any
+/// other value names.
 pub(super) const RETIRED: [(&str, i64, &str); 1] =
     [("encoder.channels", 16, "16, or leave it out: a texel of the tri-mip planes has 16 features")];
 

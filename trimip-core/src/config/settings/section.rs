@@ -1,5 +1,5 @@
-//! Sections of settings that crates other than core own. A crate implements [`Section`] for its typed section and gives
-//! [`ForeignSection::of`] to the program, which registers it; [`Config::section`](crate::Config::section) reads it.
+//! Sections of settings that crates other than core own. A crate implements [`Section`] for its typed section. The program
+//! registers the section with [`ForeignSection::of`], and [`Config::section`](crate::Config::section) reads it.
 
 use super::checker::Checker;
 use super::values::{fit, shown};
@@ -39,7 +39,7 @@ use toml::{Table, Value};
 /// # Ok::<(), trimip_core::Error>(())
 /// ```
 pub trait Section: Serialize + DeserializeOwned {
-    /// Name, as between brackets.
+    /// Name, as written between brackets.
     const NAME: &'static str;
     /// Settings that the crate adds to the section, in order.
     const FRAGMENTS: &'static [Fragment];
@@ -55,7 +55,7 @@ pub trait Section: Serialize + DeserializeOwned {
 }
 
 impl ForeignSection {
-    /// The section of a type.
+    /// Returns the section that the type `S` describes.
     pub const fn of<S: Section>() -> Self {
         Self { name: S::NAME, fragments: S::FRAGMENTS, check: check::<S> }
     }
@@ -95,18 +95,18 @@ pub(crate) fn read<S: Section>(table: &Table, to: &Checker<'_>) -> Result<S> {
 /// Reads the typed form of a table of settings.
 ///
 /// # Errors
-/// When the typed form rejects a value; names the place where it was set.
+/// When the typed form rejects a value. The error names the place where the value was set.
 pub(crate) fn typed<T: DeserializeOwned>(table: Table, to: &Checker<'_>) -> Result<T> {
     serde_path_to_error::deserialize(table).map_err(|error| {
         let path = error.path().to_string();
-        // Of a number within a list, the setting is the list.
+        // If the error is in an element of a list, name the setting that holds the whole list.
         let setting = path.split('[').next().unwrap_or_default();
         let advice = "see its meaning in the table of settings";
         Error::input(to.place(setting), error.into_inner().message(), advice)
     })
 }
 
-/// Place of a value of a configuration in memory, for an error.
+/// Returns the place of a value in a configuration in memory, for an error.
 pub(crate) fn in_memory(path: &str, value: Option<&Value>) -> Place {
     value.map_or(path.into(), |value| format!("configuration: {path} = {}", shown(value)).into())
 }

@@ -5,7 +5,7 @@ use serde::Serialize;
 use std::fmt;
 use toml::Value;
 
-/// Value of a setting: a flag, a number, a text, or a list of values. A schedule is a list of pairs.
+/// Value of a setting: a flag, a number, a string, or a list of values. A schedule is a list of pairs.
 ///
 /// ```
 /// use trimip_core::Settings;
@@ -21,13 +21,13 @@ use toml::Value;
 pub struct SettingValue(pub(crate) Value);
 
 impl fmt::Display for SettingValue {
-    /// As in a configuration file.
+    /// Writes the value as in a configuration file.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&shown(&self.0))
     }
 }
 
-/// Converts types that a value of TOML can be made of.
+/// Implements the conversions from types that convert to a TOML value.
 macro_rules! plain {
     ($($from:ty),+) => {
         $(

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-/// A part of a table, in its order.
+/// An entry of a table.
 pub(crate) enum Item {
     /// The beginning of a section.
     Section { name: String, meaning: String, shared: bool, free: bool },
@@ -18,7 +18,7 @@ pub(crate) enum Item {
 /// Key of the description of a section.
 const HEAD: &str = "section";
 
-/// Key that a setting has and a section has not.
+/// Key that every setting has and no section has.
 const DEFAULT: &str = "default";
 
 #[derive(Deserialize)]
@@ -41,10 +41,10 @@ struct Row {
     meaning: String,
 }
 
-/// The sections and settings of a table. Tables are compiled in and tested.
+/// Returns the sections and settings of a table, in order. Tables are compiled in and tested.
 ///
 /// # Panics
-/// If the text is not such a table.
+/// If the text is not a table of settings.
 pub(crate) fn items(text: &str) -> Vec<Item> {
     let table = DeTable::parse(text).unwrap_or_else(|error| panic!("not a table of settings: {error}"));
     let mut found = Vec::new();

@@ -1,18 +1,18 @@
 //! Settings as lines of TOML: finds sections and inserts lines into them.
 
-/// The name of the section that a line begins.
+/// Returns the name of the section that a line begins; `None` for other lines.
 pub(crate) fn section_begun(line: &str) -> Option<&str> {
     line.strip_prefix('[').and_then(|rest| rest.split_once(']')).map(|(name, _)| name)
 }
 
-/// Section and key of a dotted path; settings above all sections have a section without a name.
+/// Splits a dotted path into section and key. Settings above all sections have an empty section name.
 pub(crate) fn parts_of(path: &str) -> (&str, &str) {
     path.split_once('.').unwrap_or(("", path))
 }
 
 /// Inserts the line of a setting into its section: after the line with the key `after`, at the beginning of the section if
-/// `after` is empty, or at its end if no line has that key. A missing section is appended to the text, beginning with
-/// `header`.
+/// `after` is empty, or at its end if no line has that key. A missing section is appended to the text and begins with the
+/// line `header`.
 pub(crate) fn insert(lines: &mut Vec<String>, header: &str, after: &str, line: String) {
     let section = section_begun(header).unwrap_or_default();
     let begin = match lines.iter().position(|line| section_begun(line) == Some(section)) {

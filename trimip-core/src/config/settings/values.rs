@@ -3,7 +3,7 @@
 use toml::de::DeValue;
 use toml::{Spanned, Table, Value};
 
-/// A spanned value without its spans.
+/// Removes the spans from a value.
 pub(crate) fn plain(value: &Spanned<DeValue<'_>>) -> Value {
     match value.get_ref() {
         DeValue::String(text) => Value::String(text.to_string()),
@@ -21,7 +21,7 @@ pub(crate) fn plain(value: &Spanned<DeValue<'_>>) -> Value {
     }
 }
 
-/// A value as TOML; text that is not valid TOML becomes a string.
+/// Parses a value as TOML; text that is not valid TOML becomes a string.
 pub(crate) fn parsed(text: &str) -> Value {
     toml::from_str::<Table>(&format!("value = {text}"))
         .ok()
@@ -29,7 +29,7 @@ pub(crate) fn parsed(text: &str) -> Value {
         .unwrap_or_else(|| Value::String(text.to_string()))
 }
 
-/// A value for a message, as TOML. Large floats are written as 1e308, not with all of their digits.
+/// Formats a value as TOML, for a message. Large floats are written as 1e308, not with all of their digits.
 pub(crate) fn shown(value: &Value) -> String {
     match value {
         Value::Float(number) => format!("{number:?}"),
@@ -40,13 +40,13 @@ pub(crate) fn shown(value: &Value) -> String {
     }
 }
 
-/// Converts `value` to the type of the default; integers are accepted for floats. `Err` holds what was found and what is
-/// expected.
+/// Converts `value` to the type of the default; integers are accepted for floats. The error holds the value that was found
+/// and the type that is expected.
 pub(crate) fn fit(default: &Value, value: Value) -> Result<Value, (String, &'static str)> {
     let found = shown(&value);
     match (default, value) {
         (Value::Float(_), Value::Integer(number)) => Ok(Value::Float(number as f64)),
-        // A schedule of one value.
+        // A single number becomes a schedule with one piece.
         (Value::Array(items), value @ (Value::Integer(_) | Value::Float(_))) if matches!(items.first(), Some(Value::Array(piece)) if piece.len() == 2) => {
             fit(default, Value::Array(vec![Value::Array(vec![Value::Float(0.0), value])]))
         }
@@ -71,7 +71,7 @@ pub(crate) fn fit(default: &Value, value: Value) -> Result<Value, (String, &'sta
     }
 }
 
-/// True for a value without tables, which is written in one line.
+/// Returns true for a value without tables, which can be written on one line.
 pub(crate) fn is_plain(value: &Value) -> bool {
     match value {
         Value::Array(values) => values.iter().all(is_plain),
@@ -80,7 +80,7 @@ pub(crate) fn is_plain(value: &Value) -> bool {
     }
 }
 
-/// A setting as a line of TOML.
+/// Formats a setting as a line of TOML.
 pub(crate) fn line(key: &str, value: &Value) -> String {
     let table = Table::from_iter([(key.to_string(), value.clone())]);
     let text = toml::to_string(&table).unwrap_or_else(|error| unreachable!("a plain value: {error}"));

@@ -1,6 +1,6 @@
-//! Panoramas: columns are longitudes and rows are latitudes, all around one point. As in nerfstudio's `EQUIRECTANGULAR`, a focal
-//! length is the number of pixels per π radians: of a whole panorama, half the width (fx) and the height (fy). The principal
-//! point looks along −z.
+//! Panoramas: all rays meet at one point; columns are longitudes and rows are latitudes. Focal lengths are pixels per π radians,
+//! as in nerfstudio's `EQUIRECTANGULAR`: for a whole panorama, fx is half the width and fy is the height. The ray of the
+//! principal point runs along −z.
 
 use super::{BallImage, Colmap, Definition, LocalRay, Model, Projection, plain};
 use crate::Intrinsics;
@@ -24,12 +24,12 @@ impl Projection for Equirectangular {
         directed: false,
     };
 
-    /// A third of a whole panorama along each axis: 120 by 60 degrees.
+    /// Returns intrinsics that show a third of a whole panorama along each axis: 120 by 60 degrees.
     fn example(width: u32, height: u32) -> Intrinsics {
         plain(Model::Equirectangular, [width, height], [1.5 * f64::from(width), 3.0 * f64::from(height)])
     }
 
-    /// Depth is distance: half of a panorama lies behind the plane of the camera.
+    /// Returns the ray of a place. Depth is distance, because half of a panorama lies behind the camera.
     fn ray<R: Real>(k: &Intrinsics, at: [R; 2]) -> Option<LocalRay<R>> {
         let (zero, pi) = (R::zero(), R::from_f64(PI));
         let [x, y] = k.normalised(at);
@@ -54,7 +54,7 @@ impl Projection for Equirectangular {
     fn image_of(k: &Intrinsics, point: DVec3) -> Option<[f64; 2]> {
         let [longitude, latitude] = angles(point)?;
         let (x, width) = (k.cx + k.fx * longitude / PI, f64::from(k.width));
-        // A place beyond a side of the image may lie within it after a whole turn.
+        // A place beyond the left or right side of the image may lie within the image after a whole turn.
         let turned = if x < 0.0 { x + 2.0 * k.fx } else { x - 2.0 * k.fx };
         let inside = |x: &f64| (0.0..width).contains(x);
         let x = if !inside(&x) && inside(&turned) { turned } else { x };
@@ -78,7 +78,7 @@ impl Projection for Equirectangular {
         }
     }
 
-    /// Pixels are widest at the horizon.
+    /// Returns the width of the widest pixels, those at the horizon.
     fn footprint(k: &Intrinsics, distance: f64) -> f64 {
         distance * PI / (k.fx * k.fy).sqrt()
     }
@@ -88,7 +88,7 @@ impl Projection for Equirectangular {
     }
 }
 
-/// Longitude and latitude of a point; `None` for the centre of projection.
+/// Returns the longitude and latitude of a point; `None` for the centre of projection.
 fn angles(point: DVec3) -> Option<[f64; 2]> {
     let across = point.x.hypot(point.z);
     (across + point.y.abs() > 0.0).then(|| [point.x.atan2(-point.z), point.y.atan2(across)])
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
     use crate::{Camera, Cone};
 
-    /// A whole panorama.
+    /// Returns the intrinsics of a whole panorama.
     fn whole(width: u32, height: u32) -> Intrinsics {
         let focal = Equirectangular::DEFINITION.focal.map(|focal| focal(width.into(), height.into()));
         plain(Model::Equirectangular, [width, height], focal.unwrap_or_default())
@@ -119,7 +119,7 @@ mod tests {
                 total += solid;
                 mean += solid * DVec3::from(cone.direction);
             }
-            // The cosine at the middle of a row is the row's mean cosine, up to Δ²/24.
+            // The cosine of a row's middle latitude is the row's mean cosine, up to a relative Δ²/24 for rows of height Δ.
             let bound = 4.0 * PI * (PI / f64::from(height)).powi(2) / 20.0;
             assert!((total - 4.0 * PI).abs() < bound, "{total}");
             assert!(mean.length() < 1e-9, "{mean}");
@@ -143,10 +143,10 @@ mod tests {
         let own = cones(&k);
         let apart =
             |a: usize, b: usize| (DVec3::from(own[a].direction) - DVec3::from(own[b].direction)).length();
-        // The seam lies behind the camera, and pixels beside it are neighbours.
+        // The seam lies behind the camera; the pixels on both sides of it are neighbours.
         assert!((apart(64 * 16, 64 * 16 + 63) - apart(64 * 16 + 31, 64 * 16 + 32)).abs() < 1e-12);
         assert!(own[64 * 16].direction[2] > 0.99 && own[64 * 16 + 32].direction[2] < -0.99);
-        // With the principal point elsewhere, every direction still has its place in the image.
+        // If the principal point lies elsewhere, every direction still has a place in the image.
         let moved = Intrinsics { cx: 50.0, ..k };
         for cone in &own {
             let [x, y] = moved.image_of(cone.direction.into()).unwrap();

@@ -1,5 +1,5 @@
-//! Fisheye images: rays meet at one point, and the distance of a ray's image from the principal point is its angle to the
-//! optical axis, changed by the distortion of the lens.
+//! Fisheye images: rays meet at one point. The distance of a ray's image from the principal point, in focal lengths, is the
+//! ray's angle to the optical axis, changed by the distortion of the lens.
 
 use super::perspective::{lens_ball, undistorted};
 use super::{BallImage, Colmap, Definition, LocalRay, Model, Projection, plain};
@@ -12,7 +12,7 @@ use glam::DVec3;
 /// OpenCV's fisheye, and COLMAP's with a thin prism.
 pub struct Fisheye;
 
-/// Angle to the axis below which sin(angle)/angle is 1.
+/// Angle to the axis, radians, below which sin(angle)/angle is taken as 1.
 const NARROW: f64 = 1e-3;
 
 impl Projection for Fisheye {
@@ -60,7 +60,7 @@ impl Projection for Fisheye {
         let (sine, cosine) = angle.sin_cos();
         let wide = angle > R::from_f64(NARROW);
         let narrower = if wide { sine / angle } else { R::one() };
-        // The derivative of sin(angle)/angle over the angle, −1/3 on the axis.
+        // The derivative of sin(angle)/angle with respect to the angle, divided by the angle; −1/3 on the axis.
         let bend = if wide { (cosine - narrower) / (angle * angle) } else { R::from_f64(-1.0 / 3.0) };
         let change = |[by_x, by_y]: [R; 2]| {
             let turned = (x * by_x + y * by_y) * bend;
@@ -75,7 +75,7 @@ impl Projection for Fisheye {
         })
     }
 
-    /// The cone has the solid angle of its part of the image.
+    /// Returns the cone that has the solid angle of this part of the image.
     #[inline]
     fn cone<R: Real>(k: &Intrinsics, at: [R; 2], side: R) -> LocalCone<R> {
         let disc = k.disc(side);

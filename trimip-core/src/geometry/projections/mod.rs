@@ -1,6 +1,7 @@
-//! Camera models by name. A model maps places in the image to rays, and points to places, generic over f32 and f64. Each model
-//! is a file in this folder, a WGSL file of the same name in `trimip-wgpu/src/shaders/projections`, and a line in the registry
-//! of each crate. Axes are those of the camera: x right, y up, −z ahead. Lengths in the image are pixels.
+//! Camera models by name. A model maps places in the image to rays, generic over f32 and f64, and points in space to places in
+//! the image. Each model is a file in this folder, a WGSL file of the same name in `trimip-wgpu/src/shaders/projections`, and
+//! a line in the registry of each crate. Axes are those of the camera: x right, y up, −z ahead. Lengths in the image are
+//! pixels.
 
 mod equirectangular;
 mod fisheye;
@@ -18,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub struct Definition {
     /// Name in messages; the WGSL function of the model is `cone_NAME`.
     pub name: &'static str,
-    /// Values of `camera_model` in transforms files. A model without coefficients is written under the first.
+    /// Values of `camera_model` in transforms files. The first is written for a model that takes no coefficients.
     pub file_names: &'static [&'static str],
     /// Keys of instant-ngp's transforms files that choose the model, unless their value is false.
     pub flags: &'static [&'static str],
@@ -28,9 +29,9 @@ pub struct Definition {
     pub distorted: bool,
     /// True if `camera_angle_x` and `camera_angle_y` state the focal lengths.
     pub angles: bool,
-    /// Key of the world width of the longer side of the image, which states the focal lengths too.
+    /// Key of the longer side of the image in world units, which also determines the focal lengths.
     pub extent_key: Option<&'static str>,
-    /// Focal lengths of an image of that width and height where the file states none.
+    /// Focal lengths of an image of this width and height, if the file states none.
     pub focal: Option<fn(f64, f64) -> [f64; 2]>,
     /// True if the camera looks along its optical axis; false for panoramas.
     pub directed: bool,
@@ -43,36 +44,36 @@ pub struct Colmap {
     pub number: i32,
     /// Its name in text files.
     pub name: &'static str,
-    /// Names of the parameters in the order of the files: f is both focal lengths, d1 to d3 are OpenCV's k4 to k6, w and h
-    /// the size of the image.
+    /// Names of the parameters in the order of the files: f stands for both focal lengths, d1 to d3 for OpenCV's k4 to k6,
+    /// and w and h for the size of the image.
     pub parameters: &'static [&'static str],
 }
 
-/// The ray of a place in the image, with its derivatives by the place.
+/// The ray of a place in the image, with the ray's derivatives with respect to the place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalRay<R> {
-    /// Where the ray begins, world units.
+    /// Point where the ray begins, world units.
     pub origin: [R; 3],
     /// Unit direction.
     pub direction: [R; 3],
-    /// Derivatives of `origin` by the two coordinates of the place, world units per pixel.
+    /// Derivatives of `origin` with respect to the two coordinates of the place, world units per pixel.
     pub origin_by: [[R; 3]; 2],
-    /// Derivatives of `direction`, per pixel.
+    /// Derivatives of `direction` with respect to these coordinates, per pixel.
     pub direction_by: [[R; 3]; 2],
-    /// Depth of a point of the ray over its distance along the ray.
+    /// Depth of a point on the ray divided by the point's distance along the ray.
     pub cosine: R,
 }
 
 impl<R: Real> LocalRay<R> {
-    /// Area of a pixel across the ray at its origin, and the solid angle of a pixel.
+    /// Returns the area of a pixel perpendicular to the ray, at the ray's origin, and the solid angle of a pixel.
     #[inline]
     pub fn areas(&self) -> [R; 2] {
         [self.origin_by, self.direction_by].map(|[x, y]| dot(cross(x, y), self.direction).abs())
     }
 
-    /// The cone of a square part of a pixel of this `side`. Its discs have the area of the part: at distance t, the parallelogram
-    /// of ∂(o + t·d)/∂x and ∂(o + t·d)/∂y has the area A + B·t + C·t². A disc of radius √(A/π) + √(C/π)·t has that area if all
-    /// rays are parallel (B = C = 0) or meet at one point (A = B = 0).
+    /// Returns the cone of a square part of a pixel; `side` is the side of the part in pixels. The discs of the cone have the
+    /// area of the part: at distance t, the parallelogram of ∂(o + t·d)/∂x and ∂(o + t·d)/∂y has the area A + B·t + C·t². A disc
+    /// of radius √(A/π) + √(C/π)·t has that area if all rays are parallel (B = C = 0) or meet at one point (A = B = 0).
     #[inline]
     pub fn cone(&self, side: R) -> LocalCone<R> {
         let over_pi = R::from_f64(std::f64::consts::FRAC_1_PI);
@@ -98,7 +99,7 @@ fn dot<R: Real>(a: [R; 3], b: [R; 3]) -> R {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Where the image of a ball lies.
+/// Bounds of the image of a ball.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BallImage {
     /// No ray meets the ball.
@@ -109,45 +110,46 @@ pub enum BallImage {
     Within {
         /// Its centre.
         at: [f64; 2],
-        /// Half its side plus one pixel: an edge may lie between the centres of two pixels.
+        /// Half of its side, including a margin of one pixel, because an edge may lie between the centres of two pixels.
         reach: f64,
     },
 }
 
-/// A camera model. Its functions take the intrinsics, whose `lens` names the model.
+/// A camera model. Its functions take the intrinsics, whose `lens` states the model.
 pub trait Projection {
     /// Names of the model, and its form in files.
     const DEFINITION: Definition;
 
-    /// Intrinsics for examples and tests: a ball of radius 1 at distance 4 ahead lies within the image.
+    /// Returns intrinsics for examples and tests, with which a ball of radius 1 at distance 4 ahead lies within the image.
     fn example(width: u32, height: u32) -> Intrinsics;
 
-    /// The ray of a place in the image; `None` if the model has none there.
+    /// Returns the ray of a place in the image; `None` if the model has no ray there.
     fn ray<R: Real>(k: &Intrinsics, at: [R; 2]) -> Option<LocalRay<R>>;
 
-    /// The cone of a square part of a pixel, given its centre `at` and its `side`.
+    /// Returns the cone of a square part of a pixel, given its centre `at` and its `side`.
     #[inline]
     fn cone<R: Real>(k: &Intrinsics, at: [R; 2], side: R) -> LocalCone<R> {
         Self::ray(k, at).map_or_else(LocalCone::none, |ray| ray.cone(side))
     }
 
-    /// The place in the image of a point; `None` if no ray meets it.
+    /// Returns the place of a point in the image; `None` if no ray meets the point.
     fn image_of(k: &Intrinsics, point: DVec3) -> Option<[f64; 2]>;
 
-    /// Bounds of the image of a ball.
+    /// Returns the bounds of the image of a ball.
     fn ball(k: &Intrinsics, centre: DVec3, radius: f64) -> BallImage;
 
-    /// World width of a pixel at a distance.
+    /// Returns the world width of a pixel at a distance.
     fn footprint(k: &Intrinsics, distance: f64) -> f64 {
         distance / (k.fx * k.fy).sqrt()
     }
 
-    /// Length that sets the scale of a scene, for a camera at this distance from the subject: the distance, unless rays are parallel.
+    /// Returns the length that sets the scale of a scene, for a camera at this distance from the subject: the distance itself, unless
+    /// rays are parallel.
     fn scale(_: &Intrinsics, distance: f64) -> f64 {
         distance
     }
 
-    /// Approximate largest angle between a ray and the optical axis.
+    /// Returns the approximate largest angle between a ray and the optical axis.
     fn half_angle(k: &Intrinsics) -> f64 {
         let [x, y] = [f64::from(k.width) / k.fx, f64::from(k.height) / k.fy].map(|extent| 0.5 * extent);
         x.hypot(y).atan()
@@ -169,50 +171,52 @@ macro_rules! models {
             /// All models.
             pub const ALL: &[Self] = &[$(Self::$model),+];
 
-            /// Names of the model, and its form in files.
+            /// Returns the names of the model, and its form in files.
             pub fn definition(self) -> &'static Definition {
                 match self { $(Self::$model => const { &<$file::$model as Projection>::DEFINITION }),+ }
             }
 
-            /// See [`Projection::example`].
+            /// Calls [`Projection::example`].
             pub fn example(self, width: u32, height: u32) -> Intrinsics {
                 match self { $(Self::$model => $file::$model::example(width, height)),+ }
             }
         }
 
         impl Intrinsics {
-            /// The ray of a place in the image, in the camera's axes, with its derivatives. `None` if there is none.
+            /// Returns the ray of a place in the image, in the camera's axes, with its derivatives; `None` if there is no
+            /// ray.
             pub fn ray<R: Real>(&self, at: [R; 2]) -> Option<LocalRay<R>> {
                 match self.lens.model { $(Model::$model => $file::$model::ray(self, at)),+ }
             }
 
-            /// The cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
+            /// Returns the cone of a square part of a pixel, given its centre `at` and its `side`, both in pixels.
             #[inline]
             pub fn cone<R: Real>(&self, at: [R; 2], side: R) -> LocalCone<R> {
                 match self.lens.model { $(Model::$model => $file::$model::cone(self, at, side)),+ }
             }
 
-            /// The place in the image of a point in the camera's axes. `None` if no ray of the camera meets it.
+            /// Returns the place in the image of a point, which is in the camera's axes; `None` if no ray of the camera
+            /// meets the point.
             pub fn image_of(&self, point: DVec3) -> Option<[f64; 2]> {
                 match self.lens.model { $(Model::$model => $file::$model::image_of(self, point)),+ }
             }
 
-            /// Bounds of the image of a ball, whose centre is in the camera's axes.
+            /// Returns the bounds of the image of a ball, whose centre is in the camera's axes.
             pub fn ball(&self, centre: DVec3, radius: f64) -> BallImage {
                 match self.lens.model { $(Model::$model => $file::$model::ball(self, centre, radius)),+ }
             }
 
-            /// World width of a pixel at a distance; the widest pixel's if the pixels of the image differ.
+            /// Returns the world width of a pixel at a distance; the width of the widest pixel if pixels differ.
             pub fn footprint(&self, distance: f64) -> f64 {
                 match self.lens.model { $(Model::$model => $file::$model::footprint(self, distance)),+ }
             }
 
-            /// See [`Projection::scale`].
+            /// Calls [`Projection::scale`].
             pub fn scale(&self, distance: f64) -> f64 {
                 match self.lens.model { $(Model::$model => $file::$model::scale(self, distance)),+ }
             }
 
-            /// Approximate largest angle between a ray and the optical axis.
+            /// Returns the approximate largest angle between a ray and the optical axis.
             pub fn half_angle(&self) -> f64 {
                 match self.lens.model { $(Model::$model => $file::$model::half_angle(self)),+ }
             }
@@ -234,20 +238,20 @@ impl Default for Model {
 }
 
 impl Model {
-    /// The model with this name in transforms files; upper and lower case are equal.
+    /// Returns the model with this name in transforms files, ignoring case.
     pub fn named(name: &str) -> Option<Self> {
         let called =
             |model: &Self| model.definition().file_names.iter().any(|own| own.eq_ignore_ascii_case(name));
         Self::ALL.iter().copied().find(called)
     }
 
-    /// Name in messages.
+    /// Returns the model's name in messages.
     pub fn name(self) -> &'static str {
         self.definition().name
     }
 }
 
-/// Intrinsics of a model without coefficients.
+/// Returns intrinsics of a lens without distortion, with a centred principal point.
 fn plain(model: Model, size: [u32; 2], [fx, fy]: [f64; 2]) -> Intrinsics {
     let [width, height] = size;
     let (cx, cy) = (0.5 * f64::from(width), 0.5 * f64::from(height));
@@ -258,7 +262,7 @@ fn plain(model: Model, size: [u32; 2], [fx, fy]: [f64; 2]) -> Intrinsics {
 mod tests {
     use super::*;
 
-    /// Intrinsics of every model that are neither square nor centred, with places in the image.
+    /// Returns intrinsics of every model, with oblong pixels and a principal point off the centre, and places in the image.
     fn examples() -> Vec<(Intrinsics, [f64; 2])> {
         let of = |model: &Model| {
             let example = model.example(64, 48);
@@ -309,8 +313,8 @@ mod tests {
         }
     }
 
-    /// The disc of a cone has the area between the rays of the part's corners, at any distance. A perspective cone holds the
-    /// sphere of Eq. 3, which is smaller by √cosθ because the disc is seen at a slant.
+    /// Checks that the disc of a cone has the area between the rays of the part's corners, at any distance. A perspective
+    /// cone holds the sphere of Eq. 3, which is smaller by a factor of √cosθ, because the disc is seen at a slant.
     #[test]
     fn cones_have_the_footprint_of_their_pixels() {
         const SIDE: f64 = 1e-3;

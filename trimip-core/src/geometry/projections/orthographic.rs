@@ -1,5 +1,5 @@
 //! Orthographic images: all rays are parallel to the optical axis and begin on the plane of the camera. Focal lengths are pixels per
-//! world unit, as in nerfstudio's `ORTHOPHOTO`; Blender's `ortho_scale` is the world width of the longer side.
+//! world unit, as in nerfstudio's `ORTHOPHOTO`; Blender's `ortho_scale` is the longer side of the image in world units.
 
 use super::{BallImage, Definition, LocalRay, Model, Projection, plain};
 use crate::Intrinsics;
@@ -9,7 +9,7 @@ use glam::DVec3;
 /// The orthographic model, with parallel rays.
 pub struct Orthographic;
 
-/// Directions within this angle of the rays count as looked at, radians.
+/// Half angle of the view, radians: the rays are parallel, but directions this close to them count as looked at.
 const AROUND: f64 = 0.3;
 
 impl Projection for Orthographic {
@@ -25,7 +25,7 @@ impl Projection for Orthographic {
         directed: true,
     };
 
-    /// 3 units along the shorter side.
+    /// Returns intrinsics that show 3 units along the shorter side.
     fn example(width: u32, height: u32) -> Intrinsics {
         plain(Model::Orthographic, [width, height], [f64::from(width.min(height)) / 3.0; 2])
     }
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
     use crate::{Aabb, Camera, Cone};
 
-    /// A camera that sees 3 × 3 units around the origin from a distance.
+    /// Returns a camera that sees 3 × 3 units around the origin from a distance.
     fn camera(distance: f64) -> Camera {
         let eye = distance * DVec3::new(0.48, -0.64, 0.6);
         Camera::look_at(Orthographic::example(300, 300), eye, DVec3::ZERO, DVec3::Z)

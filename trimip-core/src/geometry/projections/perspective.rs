@@ -57,7 +57,7 @@ impl Projection for Perspective {
         let axis = [x, -y, -R::one()];
         let inverse = dot(axis, axis).sqrt().recip();
         let direction = axis.map(|value| value * inverse);
-        // The component of a derivative along the direction only changes its length.
+        // The component of a derivative along the direction changes only the direction's length, so it is removed.
         let across = |change: [R; 3]| {
             let along = dot(change, direction);
             std::array::from_fn(|i| (change[i] - along * direction[i]) * inverse)
@@ -71,17 +71,17 @@ impl Projection for Perspective {
         })
     }
 
-    /// The disc of the part, on the plane at distance 1, has radius side · sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy.
-    /// The tangent of the angle to the optical axis is computed from the pixel's position: derived from the cosine in
-    /// f32, it would lose 8.5 % of its value near the centre of an 800-pixel image. A lens moves the axis and changes the
-    /// size of the disc by the Jacobian of its map.
+    /// Returns the cone of a square part of a pixel. The part's disc, on the plane at distance 1, has radius side ·
+    /// sqrt(Δx·Δy/π) with Δx = 1/fx, Δy = 1/fy. The tangent of the angle to the optical axis is computed from the pixel's
+    /// position: derived from the cosine in f32, it would lose 8.5 % of its value near the centre of an 800-pixel image. A
+    /// lens moves the axis and divides the disc's area by the determinant of its Jacobian.
     #[inline]
     fn cone<R: Real>(k: &Intrinsics, at: [R; 2], side: R) -> LocalCone<R> {
         let (image, disc) = (k.normalised(at), k.disc(side));
         if k.lens.is_straight() {
             return LocalCone::through(image, disc);
         }
-        // The part of the image covers 1/area of its own size before the lens.
+        // Before the lens, the part covers 1/area of its area in the image.
         let through = |Unbent { at, area }: Unbent<R>| LocalCone::through(at, disc / area.sqrt());
         k.lens.unbend(image).map_or_else(LocalCone::none, through)
     }
@@ -107,7 +107,7 @@ impl Projection for Perspective {
     }
 }
 
-/// Undistorted coordinates of a place, and their derivatives by its two coordinates.
+/// Returns the undistorted coordinates of a place, and their derivatives with respect to the place's two coordinates.
 pub(super) fn undistorted<R: Real>(k: &Intrinsics, at: [R; 2]) -> Option<([R; 2], [[R; 2]; 2])> {
     let image = k.normalised(at);
     let [x, y] = [k.fx, k.fy].map(|focal| R::from_f64(focal).recip());
@@ -115,12 +115,12 @@ pub(super) fn undistorted<R: Real>(k: &Intrinsics, at: [R; 2]) -> Option<([R; 2]
         return Some((image, [[x, R::zero()], [R::zero(), y]]));
     }
     let Unbent { at, area } = k.lens.unbend(image)?;
-    // The inverse of the derivatives of the lens.
+    // The derivatives are the inverse of the lens' Jacobian.
     let [[a, b], [c, d]] = k.lens.bend(at).1;
     Some((at, [[d * x / area, -c * x / area], [-b * y / area, a * y / area]]))
 }
 
-/// Bounds of the image of a ball through a lens.
+/// Returns the bounds of the image of a ball through a lens.
 pub(super) fn lens_ball(k: &Intrinsics, centre: DVec3, radius: f64) -> BallImage {
     let at = centre;
     let depth = -at.z;
@@ -133,7 +133,8 @@ pub(super) fn lens_ball(k: &Intrinsics, centre: DVec3, radius: f64) -> BallImage
     if k.lens.is_straight() {
         return BallImage::Within { at: [k.cx + k.fx * at.x / depth, k.cy - k.fy * at.y / depth], reach };
     }
-    // The lens stretches lengths around the middle of the ball; twice as much allows for its growth over the ball.
+    // `stretch` is the lens' factor at the middle of the ball; twice this factor allows for larger factors elsewhere in the
+    // ball.
     let Some(bent) = k.image_of(at) else { return BallImage::Anywhere };
     let straight = [at.x / depth, -at.y / depth];
     BallImage::Within { at: bent, reach: 1.0 + 2.0 * (reach - 1.0) * k.lens.stretch(straight) }
@@ -147,7 +148,8 @@ mod tests {
 
     #[test]
     fn the_jacobian_of_a_lens_is_that_of_its_cones() {
-        // Eq. 3 differs from the disc of the pixel's solid angle by the slant, √cosθ, and by less than the disc's tangent.
+        // Eq. 3 differs from the disc of the pixel's solid angle by the factor √cosθ, because the disc is seen at a slant,
+        // and by a relative error below the disc's radius.
         let lens = Lens::perspective([-0.28, 0.07, -0.008, 0.0], [0.001, -0.002], [0.0; 3]);
         let k = Intrinsics { lens, ..Model::Perspective.example(640, 480) };
         for at in [[320.5, 240.5], [3.5, 470.5], [600.5, 17.5]] {

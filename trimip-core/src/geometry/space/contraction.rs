@@ -1,17 +1,19 @@
-//! The contraction of mip-NeRF 360 (Barron et al. 2022, Eq. 10): a ball of space keeps its shape, and all of space beyond is
-//! contracted into a shell around the ball, up to twice its radius. Ray marching takes steps that are about equally long in
-//! contracted space. Letters: n = distance to the ball's centre, b = least n along a ray, both in radii.
+//! The contraction of mip-NeRF 360 (Barron et al. 2022, Eq. 10): a ball of space stays uncontracted, and all of space beyond
+//! it is contracted into a shell around the ball, up to twice the ball's radius. Ray marching takes steps that are about
+//! equally long in contracted space. Letters: u = position relative to the ball's centre, n = |u|, b = least n along a ray,
+//! all in radii.
 
 use crate::math::scalar::Real;
 
-/// Distance, in radii of the ball, at which rays end: in contracted space a thousandth of the radius from infinity.
+/// Distance from the ball's centre, in radii, at which rays end. In contracted space this is a thousandth of the radius
+/// from infinity.
 pub const FARTHEST: f64 = 1000.0;
 
-/// Upper bound of the length, in contracted space, of a stretch of a ray whose parameter grows by 1. The supremum is √5: a
-/// ray that grazes the ball, far away.
+/// Upper bound of the length of a ray in contracted space, per unit of the ray's parameter. The supremum is √5, which a ray
+/// that grazes the ball approaches far away.
 pub const STRETCH: f64 = 2.2361;
 
-/// The ball that keeps its shape.
+/// The ball of space that stays uncontracted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ball<R> {
     /// Centre, world units.
@@ -21,8 +23,8 @@ pub struct Ball<R> {
 }
 
 impl<R: Real> Ball<R> {
-    /// A point of the world in contracted space, world units: unchanged within the ball, otherwise centre + radius · (2 −
-    /// 1/n) · u/n.
+    /// Maps a point of the world to contracted space, both in world units. A point within the ball stays unchanged; others
+    /// become centre + radius · (2 − 1/n) · u/n.
     #[inline(always)]
     pub fn contract(&self, point: [R; 3]) -> [R; 3] {
         let u = self.relative(point);
@@ -31,8 +33,8 @@ impl<R: Real> Ball<R> {
         std::array::from_fn(|i| self.centre[i] + self.radius * factor * u[i])
     }
 
-    /// The point of the world that [`contract`](Self::contract) maps to `place`. Places that no point within
-    /// [`FARTHEST`] maps to are moved towards the centre first.
+    /// Returns the point of the world that [`contract`](Self::contract) maps to `place`. A place to which no point within
+    /// [`FARTHEST`] is mapped is first moved towards the centre.
     #[inline]
     pub fn expand(&self, place: [R; 3]) -> [R; 3] {
         let v = self.relative(place);
@@ -44,22 +46,23 @@ impl<R: Real> Ball<R> {
         std::array::from_fn(|i| self.centre[i] + self.radius * n / m * v[i])
     }
 
-    /// Factor by which the contraction shortens lengths across the line to the centre: (2n − 1)/n², 1 within the ball. It is
-    /// the largest of the map's three factors.
+    /// Returns the factor by which the contraction shortens lengths perpendicular to the line to the centre: (2n − 1)/n², or
+    /// 1 within the ball. It is the largest singular value of the map's Jacobian.
     #[inline(always)]
     pub fn lateral(&self, point: [R; 3]) -> R {
         let n = length(self.relative(point)).max(R::one());
         (two::<R>() * n - R::one()) / (n * n)
     }
 
-    /// Factor by which the contraction shortens lengths along the line to the centre: 1/n², 1 within the ball.
+    /// Returns the factor by which the contraction shortens lengths along the line to the centre: 1/n², or 1 within the
+    /// ball.
     #[inline(always)]
     pub fn radial(&self, point: [R; 3]) -> R {
         let n = length(self.relative(point)).max(R::one());
         (n * n).recip()
     }
 
-    /// Map between the distance along a ray and the parameter in which its marching steps are uniform.
+    /// Returns the map between the distance along a ray and the parameter in which its marching steps are uniform.
     #[inline]
     pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> Curve<R> {
         let u = self.relative(origin);
@@ -83,28 +86,29 @@ impl<R: Real> Ball<R> {
     }
 }
 
-/// A ray in contracted space. Its parameter s grows like the distance near the ball and ends far away: s = speed · reach ·
-/// c((t − middle)/reach) with the contraction c(m) = m for |m| ≤ 1, ±2 − 1/m otherwise.
+/// A ray in contracted space. Near the ball its parameter s is proportional to the distance t, and far away s converges: s
+/// = speed · reach · c((t − middle)/reach), with the contraction c(m) = m for |m| ≤ 1 and ±2 − 1/m otherwise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Curve<R> {
     /// Distance t at which the ray is nearest to the ball's centre.
     middle: R,
-    /// Distance from there up to which s is proportional to t: the ball's radius, or b radii for a ray that misses it.
+    /// Distance from `middle` up to which s is proportional to t: the ball's radius, or b radii for a ray that misses the
+    /// ball.
     reach: R,
-    /// ds/dt there: the lateral factor at the nearest point.
+    /// ds/dt within `reach`: the lateral factor at the ray's point nearest to the ball's centre.
     speed: R,
     /// Distance t at which the ray ends.
     leave: R,
 }
 
 impl<R: Real> Curve<R> {
-    /// The parameters between which the ray can have samples; enter ≥ leave if there are none.
+    /// Returns the parameters between which the ray can have samples; enter ≥ leave if it can have none.
     #[inline]
     pub fn range(&self) -> (R, R) {
         (self.parameter(R::zero()), self.parameter(self.leave))
     }
 
-    /// s at distance t.
+    /// Returns s at distance t.
     #[inline(always)]
     pub fn parameter(&self, t: R) -> R {
         let m = (t - self.middle) / self.reach;
@@ -113,7 +117,7 @@ impl<R: Real> Curve<R> {
         self.speed * self.reach * contracted
     }
 
-    /// Distance t at the parameter s.
+    /// Returns the distance t at parameter s.
     #[inline(always)]
     pub fn distance(&self, s: R) -> R {
         let c = s / (self.speed * self.reach);
@@ -122,7 +126,7 @@ impl<R: Real> Curve<R> {
         self.middle + self.reach * m
     }
 
-    /// dt/ds at distance t.
+    /// Returns dt/ds at distance t.
     #[inline(always)]
     pub fn slowness(&self, t: R) -> R {
         let m = ((t - self.middle) / self.reach).abs().max(R::one());
@@ -147,7 +151,7 @@ mod tests {
 
     const BALL: Ball<f64> = Ball { centre: [0.3, -0.2, 0.1], radius: 2.5 };
 
-    /// Points in all directions, from the centre to far away.
+    /// Returns points in all directions, from the centre to far away.
     fn points() -> impl Iterator<Item = DVec3> {
         (0..4000).map(|i| {
             let turn = 2.399_963 * f64::from(i);
@@ -180,7 +184,8 @@ mod tests {
         assert!((far - FARTHEST).abs() < 1e-6, "{far}");
     }
 
-    /// The lateral factor is the largest singular value of the Jacobian (central differences), the radial one the smallest.
+    /// Checks that the lateral factor is the largest singular value of the Jacobian (central differences), and the radial
+    /// factor the smallest.
     #[test]
     fn factors_are_those_of_the_jacobian() {
         for point in points().filter(|point| relative(*point).length() < 50.0) {
@@ -234,8 +239,8 @@ mod tests {
         }
     }
 
-    /// Between two parameters a ray moves at most [`STRETCH`] times their difference in contracted space, and the bound is
-    /// nearly reached.
+    /// Checks that between two parameters a ray moves at most [`STRETCH`] times their difference in contracted space, and
+    /// that this bound is nearly reached.
     #[test]
     fn a_ray_moves_no_faster_than_the_bound() {
         let mut most = 0.0_f64;

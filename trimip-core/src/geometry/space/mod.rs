@@ -1,6 +1,6 @@
-//! The map from the world to the encoder's unit cube. All code that places samples, skips empty cells or scales radii
-//! uses a [`Space`]; on the GPU it is one WGSL file. A bounded space maps the scene's box to the cube. An unbounded one
-//! contracts the world into the box first, see [`contraction`].
+//! The map from the world to the encoder's unit cube. All code that places samples, skips empty cells or scales radii uses
+//! a [`Space`]; its GPU counterpart is one WGSL file. A bounded space maps the scene's box to the cube. An unbounded space
+//! first contracts the world into the box, see [`contraction`].
 
 pub mod contraction;
 mod path;
@@ -20,12 +20,12 @@ use crate::{
 pub struct Space<R> {
     aabb: Aabb<R>,
     inverse_extent: [R; 3],
-    /// The ball that keeps its shape in an unbounded space.
+    /// The uncontracted ball of an unbounded space.
     ball: Option<Ball<R>>,
 }
 
 impl<R: Real> Space<R> {
-    /// The space of a configuration.
+    /// Returns the space of a configuration.
     pub fn new(scene: &SceneConfig) -> Self {
         let aabb = Aabb::new(scene);
         match scene.contraction {
@@ -34,31 +34,33 @@ impl<R: Real> Space<R> {
         }
     }
 
-    /// The space that maps the box `aabb` of the world to the cube.
+    /// Returns the space that maps the box `aabb` of the world to the cube.
     pub fn of(aabb: Aabb<R>) -> Self {
         Self { aabb, inverse_extent: aabb.extent().map(R::recip), ball: None }
     }
 
-    /// The space that contracts the world into the cube `aabb`: the ball of half its size in its middle keeps its shape.
+    /// Returns the space that contracts the world into the cube `aabb`. The ball in the middle of the cube, half as wide as
+    /// the cube, stays uncontracted.
     pub fn contracted(aabb: Aabb<R>) -> Self {
         let half = R::from_f64(0.5);
         let ball = Ball { centre: aabb.centre(), radius: half * half * aabb.longest() };
         Self { ball: Some(ball), ..Self::of(aabb) }
     }
 
-    /// The cube as a box in the units of radii; for a bounded space, the scene's box in the world.
+    /// Returns the box that is stretched to the unit cube, in the units of radii; for a bounded space, the scene's box in
+    /// the world.
     #[inline]
     pub fn aabb(&self) -> &Aabb<R> {
         &self.aabb
     }
 
-    /// The ball that keeps its shape; none in a bounded space.
+    /// Returns the uncontracted ball; `None` in a bounded space.
     #[inline]
     pub fn ball(&self) -> Option<&Ball<R>> {
         self.ball.as_ref()
     }
 
-    /// Map between the distance along a ray and the parameter in which its marching steps are uniform.
+    /// Returns the map between the distance along a ray and the parameter in which its marching steps are uniform.
     #[inline]
     pub fn parameterisation(&self, origin: [R; 3], direction: [R; 3]) -> RayParameter<R> {
         match &self.ball {
@@ -87,25 +89,26 @@ impl<R: Real> Space<R> {
         self.ball.as_ref().map_or(place, |ball| ball.expand(place))
     }
 
-    /// Factor by which the map scales a sphere's radius at a point of the world, in the units of [`aabb`](Self::aabb): the
-    /// largest factor of the map's Jacobian. A bounded space keeps radii. Far away, a ray runs nearly along the line to the
-    /// centre, and the largest factor is the lateral one, which scales the width of a pixel.
+    /// Returns the factor by which the map scales a sphere's radius at a point of the world, in the units of
+    /// [`aabb`](Self::aabb): the largest singular value of the map's Jacobian, which is 1 in a bounded space. Far away, a
+    /// ray runs nearly along the line to the centre; the largest singular value is then the lateral factor, which scales
+    /// the width of a pixel.
     #[inline(always)]
     pub fn scale(&self, point: [R; 3]) -> R {
         self.ball.as_ref().map_or(R::one(), |ball| ball.lateral(point))
     }
 
-    /// Density per world unit at a point of the world, as a multiple of the field's: 1 in a bounded space. In an unbounded
-    /// one, the field's density is per unit of contracted length along the line to the centre. So a wall has the same
-    /// density in the field however far away it is.
+    /// Returns the density per world unit at a point of the world, divided by the field's density: 1 in a bounded space. In
+    /// an unbounded space, the field's density is per unit of contracted length along the line to the centre, so a wall has
+    /// the same density in the field at any distance.
     #[inline(always)]
     pub fn density_scale(&self, point: [R; 3]) -> R {
         self.ball.as_ref().map_or(R::one(), |ball| ball.radial(point))
     }
 
-    /// Place and width of a sample along a ray, in units of the box's longest side (4 radii of the ball): the ray's parameter at the
-    /// sample's distance `t`, where it lies at `point`, and the growth of the parameter over its `length`, which is in the units of
-    /// the field's density.
+    /// Returns the position of a sample in the ray's parameter, and the growth of the parameter over the sample's `length`, both in
+    /// units of the box's longest side (4 radii of the ball). The sample lies at distance `t`, at the point `point`; its `length` is
+    /// in the units of the field's density.
     #[inline(always)]
     pub fn along(&self, parameterisation: &RayParameter<R>, point: [R; 3], t: R, length: R) -> [R; 2] {
         let longest = self.aabb.longest();
@@ -113,14 +116,14 @@ impl<R: Real> Space<R> {
         [parameterisation.parameter(t) / longest, step / longest]
     }
 
-    /// The place of a point of the box in the cube.
+    /// Maps a point of the box to coordinates of the cube.
     #[inline(always)]
     pub(crate) fn place(&self, point: [R; 3]) -> [R; 3] {
         std::array::from_fn(|i| (point[i] - self.aabb.min[i]) * self.inverse_extent[i])
     }
 
-    /// Side of a cube with the volume of one cell, in units of radii, for a grid of `resolution` cells along each
-    /// side.
+    /// Returns the side of a cube that has the volume of one cell of a grid with `resolution` cells along each side, in the
+    /// units of radii.
     pub fn cell(&self, resolution: u32) -> R {
         let [x, y, z] = self.aabb.extent();
         (x * y * z).cbrt() / R::from_u32(resolution)
@@ -128,8 +131,8 @@ impl<R: Real> Space<R> {
 }
 
 impl Space<f32> {
-    /// Upper bound on the steps of length `step` along a ray, plus one step for rounding at each end. The longest ray is
-    /// the diagonal of a bounded space, and 8 radii of an unbounded one.
+    /// Returns an upper bound on the number of steps of length `step` along a ray, plus one step for rounding at each end.
+    /// The longest ray is the diagonal of a bounded space, or 8 radii of an unbounded one.
     pub fn most_steps(&self, step: f32) -> usize {
         let [x, y, z] = self.aabb.extent().map(f64::from);
         let longest = match &self.ball {
@@ -139,13 +142,13 @@ impl Space<f32> {
         (longest / f64::from(step)).ceil() as usize + 2
     }
 
-    /// The path of a ray through a grid of `resolution` cells along each side of a bounded space.
+    /// Returns the path of a ray through a grid of `resolution` cells along each side of a bounded space.
     #[inline(always)]
     pub fn straight_path(&self, ray: &Ray, resolution: u32) -> StraightPath {
         StraightPath::new(self, ray, resolution)
     }
 
-    /// The path of a ray through a grid of `resolution` cells along each side of an unbounded space.
+    /// Returns the path of a ray through a grid of `resolution` cells along each side of an unbounded space.
     #[inline(always)]
     pub fn contracted_path(&self, ball: Ball<f32>, ray: &Ray, resolution: u32) -> ContractedPath {
         ContractedPath::new(ball, StraightPath::new(self, ray, resolution))
@@ -155,19 +158,19 @@ impl Space<f32> {
 /// Map between the distance t along a ray and the parameter in which its marching steps are uniform.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum RayParameter<R> {
-    /// The parameter is the distance, between those at which the ray enters and leaves the box.
+    /// The parameter is the distance. It ranges from the ray's entry into the box to its exit.
     Straight {
         /// Distance at which the ray enters the box.
         enter: R,
-        /// Distance at which it leaves.
+        /// Distance at which the ray leaves the box.
         leave: R,
     },
-    /// The parameter grows as the distance is contracted.
+    /// The parameter grows with the contracted distance.
     Curved(Curve<R>),
 }
 
 impl<R: Real> RayParameter<R> {
-    /// The parameters between which a ray can have samples; enter ≥ leave if there are none.
+    /// Returns the parameters between which a ray can have samples; enter ≥ leave if it can have none.
     #[inline]
     pub fn range(&self) -> (R, R) {
         match self {
@@ -176,7 +179,7 @@ impl<R: Real> RayParameter<R> {
         }
     }
 
-    /// Distance at the parameter `s`.
+    /// Returns the distance at the parameter `s`.
     #[inline]
     pub fn distance(&self, s: R) -> R {
         match self {
@@ -185,7 +188,7 @@ impl<R: Real> RayParameter<R> {
         }
     }
 
-    /// Parameter at distance `t`.
+    /// Returns the parameter at distance `t`.
     #[inline]
     pub fn parameter(&self, t: R) -> R {
         match self {
@@ -194,7 +197,7 @@ impl<R: Real> RayParameter<R> {
         }
     }
 
-    /// Length in world units of a step of the parameter at distance `t`.
+    /// Returns the length in world units of a step of the parameter at distance `t`.
     #[inline]
     pub fn length(&self, t: R, step: R) -> R {
         match self {
@@ -223,7 +226,7 @@ mod tests {
         }
     }
 
-    /// det J of the map to the cube, times the box's volume, equals scale³ (central differences).
+    /// Checks that det J of the map to the cube, times the box's volume, equals scale³ (central differences).
     #[test]
     fn radii_scale_by_the_jacobian() {
         let (space, point, h) = (long(), [0.3, 3.1, 0.77], 1e-5);

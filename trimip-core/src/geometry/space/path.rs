@@ -1,5 +1,5 @@
 //! Paths of rays through the cells of a grid over the cube: straight in a bounded space, curved in an unbounded one. Distances
-//! t in world units, positions in the cube, s the parameter in which steps are uniform.
+//! t are in world units and positions in coordinates of the cube; s is the parameter in which steps are uniform.
 
 use super::contraction::{Ball, Curve, STRETCH};
 use crate::{
@@ -8,23 +8,25 @@ use crate::{
     math::rounding::floor,
 };
 
-/// Error of a place along a ray by rounding to f32, relative to the coordinates that it is computed from: four units in the last place.
+/// Bound of the f32 rounding error of a place along a ray, relative to the coordinates from which the place is computed: four units in
+/// the last place.
 pub const ROUNDING: f32 = 4.8e-7;
 
-/// The places of steps along a ray, and the steps that lie in empty cells.
+/// Positions of steps along a ray, and the distance that can be skipped in empty cells.
 pub trait Path {
-    /// Distance at the parameter `s`.
+    /// Returns the distance at the parameter `s`.
     fn distance(&self, s: f32) -> f32;
-    /// Length of a step of the parameter at distance `t`, in the units of the field's density.
+    /// Returns the interval of a step of the parameter at distance `t`; its length is in the units of the field's density.
     fn interval(&self, t: f32, step: f32) -> Interval;
-    /// Position in the cube at distance `t`.
+    /// Returns the position in the cube at distance `t`.
     fn position(&self, t: f32) -> [f32; 3];
-    /// Radius of the cone's sphere at distance `t`, in the units of [`Space::aabb`].
+    /// Returns the radius of the cone's sphere at distance `t`, in the units of [`Space::aabb`].
     fn radius(&self, t: f32) -> f32;
-    /// Cell of a position.
+    /// Returns the cell of a position.
     fn cell(&self, position: [f32; 3]) -> [u32; 3];
-    /// A parameter up to which the ray, from `s` on, stays within the cube of all cells closer than `distance` cells to `cell`,
-    /// the cell of `position` at `s`. It lies before `s` if the ray may leave at once, and is not finite if it cannot be computed.
+    /// Returns a parameter up to which the ray, from `s` on, surely stays within the cube of all cells less than `distance` cells
+    /// from `cell`. At `s`, the ray is at `position`, which lies in `cell`. The result lies before `s` if the ray may leave at
+    /// once, and is not finite if it cannot be computed.
     fn clear(&self, s: f32, position: [f32; 3], cell: [u32; 3], distance: u32) -> f32;
 }
 
@@ -133,7 +135,8 @@ impl Path for ContractedPath {
         self.straight.cell(position)
     }
 
-    /// The ray is a curve in the cube; it moves at most [`STRETCH`] times as far as the parameter grows.
+    /// Follows from a bound on the curved path: in contracted space the ray moves at most [`STRETCH`] times as far as its
+    /// parameter grows.
     #[inline(always)]
     fn clear(&self, s: f32, position: [f32; 3], cell: [u32; 3], distance: u32) -> f32 {
         let reach = distance as f32;
@@ -147,8 +150,8 @@ impl Path for ContractedPath {
 }
 
 impl StraightPath {
-    /// Distance up to which the ray stays within the aligned cube of `size` cells that contains `cell`, the ray's cell at
-    /// some earlier distance; infinite if it cannot be computed.
+    /// Returns the distance up to which the ray stays within the aligned cube of `size` cells along each side that contains
+    /// `cell`, in which the ray is at some earlier distance; infinite if it cannot be computed.
     #[inline(always)]
     pub fn exit(&self, cell: [u32; 3], size: u32) -> f32 {
         self.first_edge(|axis, forward| {
@@ -157,8 +160,8 @@ impl StraightPath {
         })
     }
 
-    /// Distance up to which the ray stays within the cube of all cells closer than `distance` cells to `cell`, along each
-    /// axis; infinite if it cannot be computed.
+    /// Returns the distance up to which the ray stays within the cube of all cells less than `distance` cells from `cell`
+    /// along each axis; infinite if it cannot be computed.
     #[inline(always)]
     pub fn exit_around(&self, cell: [u32; 3], distance: u32) -> f32 {
         let reach = distance as f32;
@@ -168,9 +171,9 @@ impl StraightPath {
         })
     }
 
-    /// Distance at which the ray reaches the first of three edges, one across each axis. `edge` gives them in cells from the corner of
-    /// the box. The distance is reduced by the rounding error of the ray's places: otherwise a ray about to cross an edge could count
-    /// as beyond it already, and miss it.
+    /// Returns the distance at which the ray reaches the first of three edges, one across each axis. `edge` gives their positions in
+    /// cells from the corner of the box. The distance is reduced by the rounding error of places on the ray: otherwise a ray about to
+    /// cross an edge could count as already beyond that edge, and miss it.
     #[inline(always)]
     fn first_edge(&self, edge: impl Fn(usize, bool) -> f32) -> f32 {
         let mut exit = f32::INFINITY;
@@ -179,7 +182,7 @@ impl StraightPath {
             let edge = edge(axis, self.ray.direction[axis] > 0.0) * self.cell_extent[axis]
                 + self.space.aabb().min[axis];
             let distance = (edge - origin) * inverse - ROUNDING * (edge.abs() + origin.abs()) * inverse.abs();
-            // An axis along which the ray does not move gives ±∞ or NaN: no edge there.
+            // An axis along which the ray does not move gives ±∞ or NaN, and no edge.
             if distance.is_finite() && distance < exit {
                 exit = distance;
             }
@@ -213,13 +216,15 @@ mod tests {
         let position = straight.position(t);
         let cell = straight.cell(position);
         assert_eq!(cell, [0, 9, 4]);
-        // The block of four cells from x = -1 to 0 and y = 1 to 1.5: y = 1.16 at t, 1.5 at (1.5 - 0.26) / 0.6.
+        // The block of four cells along each side reaches from x = -1 to 0 and from y = 1 to 1.5. The ray has y = 1.16 at
+        // t, and y = 1.5 at (1.5 - 0.26) / 0.6.
         let exit = straight.exit(cell, 4);
         assert!((exit - 2.066_666_7).abs() < 1e-5, "{exit}");
         assert!((straight.radius(t) - 0.015).abs() < 1e-9);
     }
 
-    /// A straight ray that starts exactly where it crosses the edge of a cell stays in its cell up to the distance of `clear`.
+    /// Checks that a straight ray that starts exactly where it crosses the edge of a cell stays in its cell up to the distance
+    /// of `clear`.
     #[test]
     fn a_ray_at_an_edge_is_never_said_to_stay_beyond_it() {
         let space = Space::of(Aabb { min: [-1.5; 3], max: [1.5; 3] });
@@ -257,7 +262,8 @@ mod tests {
         assert!(at_edges > 5000 && skipped > at_edges, "{skipped} of {at_edges}");
     }
 
-    /// A curved ray stays within the surrounding cells up to the parameter of `clear` (50 places in each stretch of 200 rays).
+    /// Checks that a curved ray stays within the surrounding cells up to the parameter of `clear` (50 places in each stretch
+    /// of 200 rays).
     #[test]
     fn a_curved_ray_stays_within_the_cells_that_are_said_to_be_clear() {
         let space = Space::contracted(Aabb { min: [-2.0, -1.0, 0.0], max: [2.0, 3.0, 4.0] });

@@ -1,17 +1,18 @@
-//! MS-SSIM of Wang, Simoncelli and Bovik 2003: contrast and structure at five scales, luminance at the coarsest, each to the
-//! power of its weight. Windows and constants are those of SSIM.
+//! MS-SSIM of Wang, Simoncelli and Bovik 2003: contrast and structure at five scales, luminance at the coarsest, each raised
+//! to the power of its weight. Windows and constants are those of SSIM.
 
 use super::ssim::{WINDOW, gaussian, similarity};
 
 /// The published weights, fine to coarse. They add up to 1.0001.
 const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 
-/// The least side of an image that is measured, pixels: one window at the coarsest scale.
+/// Smallest side, in pixels, of an image that can be measured: one window at the coarsest scale.
 pub const LEAST_SIDE: usize = WINDOW << (WEIGHTS.len() - 1);
 
-/// Multi-scale structural similarity, the mean of the channels; NaN for images with a side below [`LEAST_SIDE`], which have
-/// no window at the coarsest scale. A scale is the mean of 2×2 pixels of the next finer one; a last odd row or column counts
-/// twice. A scale whose contrasts are opposed on average counts as zero, because its power has no real value.
+/// Returns the multi-scale structural similarity, averaged over the channels; NaN for images with a side below
+/// [`LEAST_SIDE`], which have no window at the coarsest scale. The pixels of a scale are means of 2×2 pixels of the next
+/// finer scale; a last odd row or column counts twice. A scale whose mean contrast and structure are negative counts as
+/// zero, because a power of a negative number is not real.
 pub fn ms_ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize) -> f64 {
     assert_eq!(image.len(), width * height, "image of the stated size");
     assert_eq!(target.len(), width * height, "target of the stated size");
@@ -40,7 +41,7 @@ pub fn ms_ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: us
     products.iter().sum::<f64>() / 3.0
 }
 
-/// Means of 2×2 pixels. The last row and column repeat beyond the image.
+/// Returns the means of 2×2 pixels. The last row and column repeat beyond the image.
 fn halved(image: &[[f32; 3]], width: usize) -> Vec<[f32; 3]> {
     let height = image.len() / width;
     let half = |x: usize, y: usize| -> [f32; 3] {
@@ -59,7 +60,8 @@ fn halved(image: &[[f32; 3]], width: usize) -> Vec<[f32; 3]> {
 mod tests {
     use super::*;
 
-    /// Colours of a smooth pattern with some noise, computed in integers so that other programs get the same values.
+    /// Returns the colours of a smooth pattern with some noise, computed in integers so that other programs get the same
+    /// values.
     fn pattern(width: usize, height: usize, seed: u32) -> Vec<[f32; 3]> {
         let byte = |i: usize, c: u32| {
             let (x, y) = ((i % width) as u32, (i / width) as u32);
@@ -69,8 +71,8 @@ mod tests {
         (0..width * height).map(|i| [0, 1, 2].map(|c| byte(i, c).min(255) as f32 / 255.0)).collect()
     }
 
-    /// The written formula in f64: every window by its double sum, every scale by its blocks, for images whose sides are
-    /// multiples of 16.
+    /// Evaluates the published formula in f64: every window as its double sum, every scale from its blocks, for images
+    /// whose sides are multiples of 16.
     fn literal(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize) -> f64 {
         let weight =
             |x: usize, y: usize| (-((x as f64 - 5.0).powi(2) + (y as f64 - 5.0).powi(2)) / 4.5).exp();
@@ -118,7 +120,7 @@ mod tests {
         let (a, b) = (pattern(width, height, 1), pattern(width, height, 3));
         let (found, expected) = (ms_ssim(&a, &b, width, height), literal(&a, &b, width, height));
         assert!((found - expected).abs() < 1e-6, "{found}, not {expected}");
-        // The value of TensorFlow 2.21 for these pictures (tf.image.ssim_multiscale), in f32.
+        // TensorFlow 2.21 gives this value for these pictures (tf.image.ssim_multiscale), in f32.
         assert!((found - 0.867_602).abs() < 1e-5, "{found}");
     }
 
@@ -126,7 +128,7 @@ mod tests {
     fn it_is_one_for_equal_images_and_known_for_constants() {
         let a = pattern(177, 190, 2);
         assert!((ms_ssim(&a, &a, 177, 190) - 1.0).abs() < 1e-9);
-        // Constants have no contrast: luminance at the coarsest scale is left, (2ab + C1)/(a² + b² + C1).
+        // Constant images have no contrast, so only the luminance at the coarsest scale is left: (2ab + C1)/(a² + b² + C1).
         let grey = |value: f32| vec![[value; 3]; 176 * 176];
         let expected = ((2.0 * 0.12 + 0.0001) / (0.04 + 0.36 + 0.0001_f64)).powf(0.1333);
         assert!((ms_ssim(&grey(0.2), &grey(0.6), 176, 176) - expected).abs() < 1e-6);

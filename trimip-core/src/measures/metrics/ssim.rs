@@ -1,14 +1,14 @@
-//! SSIM of Wang et al. 2004: Gaussian window 11, σ = 1.5, K1 = 0.01, K2 = 0.03, channels averaged, borders left out as in the
-//! original.
+//! SSIM of Wang et al. 2004: a Gaussian window of 11 taps, σ = 1.5, K1 = 0.01, K2 = 0.03, channels averaged, borders left out
+//! as in the original.
 
-/// Taps along each side of a window.
+/// Number of taps along each side of a window.
 pub(super) const WINDOW: usize = 11;
 const SIGMA: f64 = 1.5;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// Structural similarity, the mean over all windows that fit and over the channels. An image smaller than the window is
-/// one window of its own size.
+/// Returns the structural similarity, averaged over all windows that fit and over the channels. Along a side shorter than
+/// the window, the window is as long as that side.
 pub fn ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize) -> f64 {
     assert_eq!(image.len(), width * height, "image of the stated size");
     assert_eq!(target.len(), width * height, "target of the stated size");
@@ -21,11 +21,11 @@ pub fn ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize
 pub(super) struct Similarity {
     /// Luminance times contrast and structure.
     pub whole: f64,
-    /// Contrast and structure alone.
+    /// Contrast and structure, without luminance.
     pub structure: f64,
 }
 
-/// Normalised Gaussian of `length` taps.
+/// Returns a normalised Gaussian of `length` taps.
 pub(super) fn gaussian(length: usize) -> Vec<f64> {
     let centre = (length - 1) as f64 / 2.0;
     let taps: Vec<f64> =
@@ -34,8 +34,8 @@ pub(super) fn gaussian(length: usize) -> Vec<f64> {
     taps.into_iter().map(|tap| tap / sum).collect()
 }
 
-/// Similarity of one channel, from five filtered moments (μx, μy, x², y², xy). Rows are filtered first, into a ring of
-/// `down.len()` rows.
+/// Returns the similarity of one channel, computed from five filtered moments (μx, μy, x², y², xy). Rows are filtered
+/// first, into a ring of `down.len()` rows.
 pub(super) fn similarity(
     image: &[[f32; 3]],
     target: &[[f32; 3]],
@@ -105,7 +105,7 @@ mod tests {
     fn ssim_is_one_for_equal_images_and_known_for_constants() {
         let a = image(20, 17, |x, y| ((x * 7 + y * 3) % 11) as f32 / 10.0);
         assert!((ssim(&a, &a, 20, 17) - 1.0).abs() < 1e-12);
-        // Constants: structure term 1, luminance term (2ab + C1)/(a² + b² + C1).
+        // For constant images the structure term is 1 and the luminance term is (2ab + C1)/(a² + b² + C1).
         let (dark, light) = (image(20, 17, |_, _| 0.2), image(20, 17, |_, _| 0.6));
         let expected = (2.0 * 0.12 + C1) / (0.04 + 0.36 + C1);
         assert!((ssim(&dark, &light, 20, 17) - expected).abs() < 1e-6);
@@ -114,7 +114,7 @@ mod tests {
 
     #[test]
     fn ssim_is_the_written_formula_on_one_window() {
-        // An 11 × 11 image is one window: the literal double sum.
+        // An 11 × 11 image holds one window, so the literal double sum is the result.
         let a = image(11, 11, |x, y| ((x * x + 3 * y) % 13) as f32 / 12.0);
         let b = image(11, 11, |x, y| ((x + y * y) % 7) as f32 / 6.0);
         let weight =

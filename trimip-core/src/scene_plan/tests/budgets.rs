@@ -1,4 +1,4 @@
-//! Decisions that follow the number of rays per pixel within a budget.
+//! Tests of decisions that follow the number of rays per pixel within a budget.
 
 use super::{planned, views};
 

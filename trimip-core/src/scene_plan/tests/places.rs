@@ -1,5 +1,5 @@
-//! Decisions for places (scenes in contracted space) and for objects: thin surfaces, samples that merge, and delayed view
-//! dependence.
+//! Tests of decisions for places (scenes in contracted space) and for objects: thin surfaces, samples that merge, and
+//! delayed view dependence.
 
 use super::{planned, views, views_of};
 
@@ -10,7 +10,7 @@ fn places_have_thin_surfaces_and_faint_samples_merge() {
         (config.loss.distortion, config.renderer.min_weight)
     };
     assert_eq!(of(false, &[]), (0.005, 0.01));
-    // If colours depend on the view from the start, that weight of distortion would move density in front of the cameras.
+    // If colours depend on the view from the start, the same distortion weight would move density in front of the cameras.
     assert_eq!(of(false, &["plan.direction_delay=off"]), (0.001, 0.01));
     assert_eq!(of(false, &["renderer.min_weight=0.002"]), (0.005, 0.002), "what is given stays");
     for (alpha, set) in [(true, &[][..]), (false, &["scene.contraction=none"])] {
