@@ -4,7 +4,7 @@ use crate::material::Material;
 use std::path::Path;
 use trimip_core::plural::count;
 
-/// The next command for a folder that holds no scene, in words.
+/// Returns the next command for a folder that holds no scene, in words.
 pub(crate) fn advice(root: &Path) -> String {
     Next::of(root, root, root)
         .map_or_else(|| "name a folder with one of these files".into(), |next| next.text)
@@ -12,15 +12,15 @@ pub(crate) fn advice(root: &Path) -> String {
 
 /// The next step for a folder without a scene.
 pub(crate) struct Next {
-    /// In words.
+    /// The step in words.
     pub(crate) text: String,
-    /// True if the command takes the archive of the folder, so that nobody has to unpack it.
+    /// True if the command accepts the archive of the folder, so that nobody has to unpack it.
     pub(crate) takes_archive: bool,
 }
 
 impl Next {
-    /// The next step for the folder `root`. Messages show it as `named`, and commands get `taken`, which may be its
-    /// archive. `None` if it holds no usable file.
+    /// Returns the next step for the folder `root`, or `None` if it holds no usable file. Messages show the folder as
+    /// `named`; commands get `taken`, which may be the archive of the folder.
     pub(crate) fn of(root: &Path, named: &Path, taken: &Path) -> Option<Self> {
         let material = Material::called(root, named);
         let unpacked = |text: String| Some(Self { text, takes_archive: false });
@@ -36,7 +36,7 @@ impl Next {
         unpacked(format!("unpack {}, and name the folder in it", shown(material.archive.as_ref()?)))
     }
 
-    /// The command that finds the cameras of photographs or of a film; `None` without any.
+    /// Returns the command that finds the cameras of photographs or of a film, or `None` if there are neither.
     fn capture(material: &Material, named: &Path, taken: &Path) -> Option<Self> {
         let command = |path: &Path| format!("trimip-cli capture {}", shown(path));
         let convertible = material.foreign.iter().filter(|(_, format)| format.is_heif()).count();
@@ -69,7 +69,7 @@ impl Next {
     }
 }
 
-/// The command that continues with the features that COLMAP has found already.
+/// Returns the command that continues with the features that COLMAP has found already.
 fn mapper(material: &Material, named: &Path) -> Option<String> {
     let database = material.database.as_ref()?;
     let beside = database.parent().unwrap_or(named);
@@ -83,7 +83,7 @@ fn mapper(material: &Material, named: &Path) -> Option<String> {
     ))
 }
 
-/// A path, quoted so that a shell reads it as one word that is no option.
+/// Quotes a path so that a shell reads it as one word and not as an option.
 fn shown(path: &Path) -> String {
     let plain = path.display().to_string();
     let plain = if plain.starts_with('-') { format!("./{plain}") } else { plain };

@@ -1,5 +1,5 @@
 //! Scenes in zip archives. `NAME.zip` is unpacked once, to the folder `NAME` next to it. Files are written to a
-//! temporary folder that is renamed when all of them are there, so a folder `NAME` is complete.
+//! temporary folder, which is renamed once all files are written, so a folder `NAME` is complete.
 
 use crate::{
     advice::Next,
@@ -22,7 +22,7 @@ use trimip_core::{
 /// since hidden files are not unpacked.
 const MARK: &str = ".unpacked.json";
 
-/// Most levels below the folder that are searched for a scene, and most folders of a level.
+/// Number of levels below the folder that are searched for a scene, and most folders of a level.
 const MOST_DEPTH: usize = 3;
 const MOST_FOLDERS: usize = 1000;
 
@@ -48,7 +48,7 @@ pub(crate) struct Wanted<'a> {
 /// Of kind `Input`: an archive that is broken, unsafe or without a scene, and a folder that cannot be written or that
 /// was not made from this archive. Files written so far are removed.
 pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> {
-    // Network file systems lock only what can be written.
+    // Network file systems lock only files that are open for writing.
     let file = OpenOptions::new().read(true).write(true).open(archive).or_else(|_| File::open(archive));
     let wrong = |error: std::io::Error| {
         Error::input(
@@ -65,7 +65,7 @@ pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> 
     let mark =
         json!({ "archive": name, "bytes": length, "fingerprint": format!("{:016x}", zip.fingerprint) });
     if !is_there(archive, &folder, &mark, wanted)? {
-        // With several processes, one unpacks and the others wait. The lock ends with the process.
+        // If several processes open the archive, one unpacks it and the others wait. The lock ends with the process.
         file.lock().map_err(|error| {
             let what = format!("cannot be locked: {error}");
             Error::input(archive.display(), what, "unpack it and name the folder")
@@ -85,7 +85,7 @@ pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> 
     Ok(Unpacked { root: scene(archive, &folder, &folder, wanted)?, note })
 }
 
-/// True if the folder is the unpacked archive, false if it does not exist.
+/// Returns true if the folder is the unpacked archive, false if it does not exist.
 ///
 /// # Errors
 /// If the folder is anything else.
@@ -116,7 +116,7 @@ fn is_there(archive: &Path, folder: &Path, mark: &Value, wanted: &Wanted<'_>) ->
     }
 }
 
-/// The mark of a folder that this program unpacked.
+/// Returns the mark of a folder that this program unpacked.
 fn marked(folder: &Path) -> Option<Value> {
     let is_folder = folder.symlink_metadata().is_ok_and(|found| found.is_dir());
     let mark = fs::read(folder.join(MARK)).ok().filter(|_| is_folder)?;
@@ -168,7 +168,7 @@ fn unpack(
     let mark_path = root.0.join(MARK);
     fs::write(&mark_path, mark.to_string()).map_err(|error| unwritable(&mark_path, error))?;
     let paths: Vec<PathBuf> = zip.files.iter().map(|file| root.0.join(&file.path)).collect();
-    // Parents come before their subfolders.
+    // The set sorts parents before their subfolders.
     let above = |path| Path::ancestors(path).skip(1).take_while(|above| *above != root.0);
     let folders: BTreeSet<&Path> = paths.iter().flat_map(|path| above(path)).collect();
     for folder in &folders {
@@ -194,7 +194,7 @@ fn unpack(
 /// Removes the temporary folder of a process that was killed.
 ///
 /// # Errors
-/// If this program did not make it.
+/// If the folder was not made by this program.
 fn remove_left(root: &Path, archive: &Path) -> Result<()> {
     if root.symlink_metadata().is_err() {
         return Ok(());
@@ -248,7 +248,7 @@ fn scene(archive: &Path, root: &Path, named: &Path, wanted: &Wanted<'_>) -> Resu
     Err(Error::input(archive.display(), what, advice))
 }
 
-/// Subfolders of these folders, sorted by path.
+/// Returns the subfolders of these folders, sorted by path.
 fn below(folders: &[PathBuf]) -> Vec<PathBuf> {
     let entries = folders.iter().flat_map(|folder| folder.read_dir().into_iter().flatten().flatten());
     let mut below: Vec<PathBuf> =
@@ -257,7 +257,7 @@ fn below(folders: &[PathBuf]) -> Vec<PathBuf> {
     below
 }
 
-/// The first names in a folder, in words.
+/// Lists the first names in a folder, for a message.
 fn held(root: &Path) -> String {
     let entries = root.read_dir().into_iter().flatten().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());

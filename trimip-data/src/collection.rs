@@ -1,4 +1,4 @@
-//! Folders of scenes: the eight Blender scenes of NeRF, at one scale or as multi-scale sets, in the order of the tables.
+//! Folders of scenes: the eight Blender scenes of NeRF, at one scale or as multi-scale sets, in the order of the papers' tables.
 
 use crate::layout::{self, Layout};
 use crate::readers::found;
@@ -13,9 +13,9 @@ pub const BLENDER_SCENES: [&str; 8] =
 /// The Blender scenes in a folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Collection {
-    /// Folders of the scenes that are there, in the order of [`BLENDER_SCENES`].
+    /// Folders of the scenes that exist, in the order of [`BLENDER_SCENES`].
     pub found: Vec<PathBuf>,
-    /// Names of the scenes that are not there.
+    /// Names of the scenes that do not exist.
     pub missing: Vec<&'static str>,
 }
 
@@ -23,7 +23,7 @@ impl Collection {
     /// Looks for the Blender scenes in a folder by their names.
     ///
     /// # Errors
-    /// When none of them is there.
+    /// If none of them exists.
     pub fn open(folder: &Path) -> Result<Self> {
         if !folder.is_dir() {
             let what = if folder.exists() { "is not a folder" } else { "does not exist" };
@@ -46,15 +46,15 @@ impl Collection {
     }
 }
 
-/// True if the files in a folder are those of a scene.
+/// Returns true if the files in a folder are those of a scene.
 pub fn is_scene(folder: &Path) -> bool {
     found(folder).is_some()
 }
 
-/// True unless the scene that the settings name is known to have no such split. Reads no image.
+/// Returns false if the scene that the settings name is known to have no such split. Reads no image.
 ///
 /// # Errors
-/// When the folder holds no scene.
+/// If the folder holds no scene.
 pub fn has_split(config: &DataConfig, split: &str) -> Result<bool> {
     let (config, _) = layout::unpacked(config)?;
     Layout::open(&config)?.has_split(split)

@@ -1,5 +1,5 @@
-//! One depth image: a picture of 16-bit grey numbers or a table of NumPy. A number is the depth along the optical axis, not the
-//! distance along the ray, in some unit; 0 is unknown (nerfstudio, ARKit).
+//! A depth image: a 16-bit grey picture or a NumPy array. Its numbers are depths along the optical axis, not distances
+//! along the ray, in a unit that [`DepthFile`] holds; 0 means unknown (nerfstudio, ARKit).
 
 use crate::{
     files,
@@ -18,7 +18,7 @@ use trimip_core::{Error, Result};
 /// A millimetre in metres, ARKit's unit.
 const MILLIMETRE: f64 = 1e-3;
 
-/// The range of the sensor of a phone or tablet, metres. Depths beyond it are guessed from the photograph (Polycam's polyform, README).
+/// Range of the sensor of a phone or tablet, metres. Depths beyond it are guesses from the photograph (Polycam's polyform, README).
 const RANGE_OF_ARKIT: f64 = 5.0;
 
 /// Advice for a file that is not a depth image.
@@ -28,22 +28,22 @@ const ADVICE: &str = "export it as a PNG of 16-bit grey or as .npy of f4 or f8, 
 #[derive(Clone, Debug)]
 pub(crate) struct DepthFile {
     path: PathBuf,
-    /// World units for each unit of its numbers.
+    /// World units per unit of the stored numbers.
     unit: f64,
     /// Greatest depth that was measured, world units.
     farthest: f64,
-    /// A picture of 8-bit grey that is 0 where a depth is unreliable.
+    /// An 8-bit grey picture that is 0 where a depth is unreliable.
     confidence: Option<PathBuf>,
 }
 
 impl DepthFile {
-    /// A file whose numbers are multiples of `unit` world units.
+    /// Creates the entry of a depth image whose numbers are multiples of `unit` world units.
     pub(crate) fn new(path: &str, unit: f64) -> Self {
         Self { path: path.into(), unit, farthest: f64::INFINITY, confidence: None }
     }
 
-    /// ARKit's depth image of a photograph and its confidence image, in two folders below `root`. Both are named like
-    /// the photograph. `None` if there is no depth image.
+    /// Returns ARKit's depth image of a photograph with its confidence image, or `None` if there is no depth image.
+    /// They lie in two `folders` below `root`, and both are named like the photograph.
     pub(crate) fn of_arkit(root: &Path, folders: [&str; 2], photograph: &Path) -> Option<Self> {
         let name = format!("{}.png", photograph.file_stem()?.to_string_lossy());
         let [path, confidence] = folders.map(|folder| root.join(folder).join(&name));
@@ -51,7 +51,7 @@ impl DepthFile {
         path.is_file().then_some(Self { path, unit: MILLIMETRE, farthest: RANGE_OF_ARKIT, confidence })
     }
 
-    /// The same file, with its path resolved from `root`.
+    /// Returns the same entry with its path resolved relative to `root`.
     pub(crate) fn below(&self, root: &Path) -> Self {
         let written = root.join(&self.path);
         let turned = || root.join(self.path.to_string_lossy().replace('\\', "/"));
@@ -83,7 +83,7 @@ impl DepthImage {
     /// Reads the header of the depth image of a photograph.
     ///
     /// # Errors
-    /// Of kind `Input`: the file is no depth image, or has another shape than the photograph.
+    /// Of kind `Input`: the file is no depth image, or has another aspect ratio than the photograph.
     pub(crate) fn open(file: &DepthFile, photograph: &Photograph) -> Result<Self> {
         let wrong = |path: &Path, what: &str| {
             Error::input(&photograph.place, format!("depth image {} {what}", path.display()), ADVICE)
@@ -135,10 +135,10 @@ impl DepthImage {
         Ok(Self { file: file.clone(), picture, confidence, size })
     }
 
-    /// Reads its numbers.
+    /// Decodes the depths.
     ///
     /// # Errors
-    /// Of kind `Input`, if it cannot be decoded.
+    /// Of kind `Input`, if the file cannot be decoded.
     pub(crate) fn decode(&self) -> Result<Depths> {
         let numbers = match &self.picture {
             None => {
@@ -156,7 +156,7 @@ impl DepthImage {
     }
 }
 
-/// The first bytes of a file.
+/// Reads the first bytes of a file.
 fn head(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let read = File::open(path).and_then(|file| file.take(npy::HEAD).read_to_end(&mut bytes));
@@ -175,7 +175,7 @@ enum Numbers {
 #[derive(Debug)]
 pub(crate) struct Depths {
     numbers: Numbers,
-    /// Not 0 where a depth is reliable.
+    /// The confidence image: not 0 where a depth is reliable.
     trusted: Option<GrayImage>,
     unit: f64,
     farthest: f64,
@@ -184,10 +184,10 @@ pub(crate) struct Depths {
 }
 
 impl Depths {
-    /// Depth along the optical axis in a pixel, world units; `None` where it is unknown.
+    /// Returns the depth along the optical axis in a pixel, world units, or `None` where it is unknown.
     pub(crate) fn at(&self, [x, y]: [u32; 2]) -> Option<f64> {
         let number = match &self.numbers {
-            // The greatest number means that the depth is out of range.
+            // The largest number means that the depth is out of range.
             Numbers::Grey(image) => match image.get_pixel(x, y).0[0] {
                 u16::MAX => return None,
                 number => number.into(),

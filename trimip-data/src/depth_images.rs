@@ -1,5 +1,5 @@
-//! Known depths of the training views from their depth images. Of a dense image only a grid of pixels is used: the rays
-//! of the others would repeat the same surfaces.
+//! Known depths of the training views from their depth images. A dense image contributes only the pixels of a grid: the
+//! rays of the other pixels would hit the same surfaces again.
 
 use crate::{
     depth_image::{DepthImage, Depths},
@@ -15,28 +15,28 @@ use trimip_core::{
 };
 
 /// Most known pixels of a view at each scale, 64 × 64: the occupancy grid has no more cells across a picture, so these
-/// rays reach the surfaces in all of them.
+/// rays reach the surfaces in all of its cells.
 const MOST_OF_VIEW: usize = 1 << 12;
 
-/// Most known pixels of a scene, 24 MB.
+/// Most known pixels of a scene; their depths take 24 MB.
 const MOST_OF_SCENE: usize = 1 << 21;
 
-/// Least deviation as a share of the distance: an assumption for the sensors of phones, whose files state none.
+/// Least standard deviation of a depth, as a share of the distance: an assumption for the sensors of phones, whose files state no accuracy.
 const DEVIATION: f64 = 0.02;
 
-/// Largest relative difference between neighbouring depths of one surface. A depth at an edge between two surfaces lies on neither.
+/// Largest relative difference between neighbouring depths of one surface. At an edge between two surfaces, a depth may lie on neither.
 const EDGE: f64 = 0.03;
 
-/// Most places on each side of a pixel, along each axis, at which its neighbourhood is sampled.
+/// Most samples of a pixel's neighbourhood on each side of the pixel, along each axis.
 const MOST_PLACES: u32 = 4;
 
-/// Usual ratio of the median depth to the extent of the cameras. Outside of this range, the unit of the depths is in doubt.
+/// Usual range of the ratio of the median depth to the extent of the cameras. Outside of this range, the unit of the depths is in doubt.
 const USUAL: RangeInclusive<f64> = 0.01..=100.0;
 
 /// The depth images of the training views, before they are decoded.
 #[derive(Debug, Default)]
 pub(crate) struct DepthImages {
-    /// By training frame.
+    /// One per training frame; `None` for a frame without a depth image.
     images: Vec<Option<DepthImage>>,
     warnings: Vec<String>,
 }
@@ -46,7 +46,7 @@ pub(crate) struct DepthImages {
 pub(crate) struct Known {
     /// Known depths, sorted by pixel.
     pub(crate) depths: Vec<KnownDepth>,
-    /// A line about the images; `None` if there are none.
+    /// A line of the description about the images; `None` if there are none.
     pub(crate) note: Option<String>,
     pub(crate) warnings: Vec<String>,
 }
@@ -99,7 +99,7 @@ impl DepthImages {
     /// Reads the depth images in parallel, and finds the known depths at all scales of `train`, whose views are those of `sources`.
     ///
     /// # Errors
-    /// Of kind `Input`, if one cannot be decoded.
+    /// Of kind `Input`, if a depth image cannot be decoded.
     pub(crate) fn known(&self, sources: &[Source], train: &ViewSet) -> Result<Known> {
         let images = self.images.iter().flatten().count();
         if images == 0 {
@@ -151,12 +151,13 @@ fn is_missing(source: &Source) -> bool {
     source.depth.as_ref().is_some_and(|file| !file.path().is_file())
 }
 
-/// nerfstudio reads the depth images of fisheye lenses as distances, other programs as depths along the optical axis.
+/// Returns true for a fisheye lens, whose depth images nerfstudio reads as distances along the ray, other programs as
+/// depths along the optical axis.
 fn is_fisheye(source: &Source) -> bool {
     source.views.iter().any(|(_, camera)| camera.intrinsics.lens.model == Model::Fisheye)
 }
 
-/// A view at all scales.
+/// A training view at all scales.
 struct Seen<'a> {
     train: &'a ViewSet,
     scales: &'a [&'a Scale],
@@ -178,7 +179,7 @@ impl Seen<'_> {
         let depths = image.decode()?;
         let mut found = OfImage { known: Vec::new(), depths: Vec::new() };
         let [photograph, ..] = self.source.files() else { return Ok(found) };
-        // Pixels of the photograph for each pixel of the image, along x and y.
+        // Pixels of the photograph per pixel of the depth image, along x and y.
         let [width, height] = depths.size;
         let steps = [
             f64::from(photograph.width) / f64::from(width),
@@ -207,7 +208,7 @@ impl Seen<'_> {
         Ok(found)
     }
 
-    /// The known depth of the pixel of a scale in which a depth was seen.
+    /// Returns the known depth of the pixel of `scale` that contains the observation `seen`, whose depth along the optical axis is `depth`.
     fn known(&self, scale: &Scale, seen: &Observation, depth: f64) -> Option<KnownDepth> {
         let pixel = pixel(self.train, scale, seen)?;
         let view = &self.train.views[scale.views.start + self.view];
@@ -221,8 +222,8 @@ impl Seen<'_> {
     }
 }
 
-/// Chooses pixels of a depth image, one in each cell of a grid of at most `most` cells: the first from the middle, in
-/// row order and cyclically, whose depth is known and that lies on one surface.
+/// Chooses pixels of a depth image, one in each cell of a grid of at most `most` cells: the first pixel whose depth is
+/// known and that lies on one surface. The search runs in row order from the middle of the cell and wraps around.
 fn chosen(depths: &Depths, reach: [u32; 2], most: usize) -> Vec<[u32; 2]> {
     let [width, height] = depths.size;
     let cells = |side: u32| [width.div_ceil(side), height.div_ceil(side)];
@@ -242,7 +243,7 @@ fn chosen(depths: &Depths, reach: [u32; 2], most: usize) -> Vec<[u32; 2]> {
     (0..columns * rows).filter_map(of_cell).collect()
 }
 
-/// True if the depth in a pixel is known, and no known depth within `reach` along each axis differs much from it.
+/// Returns true if the depth in a pixel is known, and no known depth within `reach` along each axis differs much from it.
 fn is_smooth(depths: &Depths, [x, y]: [u32; 2], [across, down]: [u32; 2]) -> bool {
     let Some(own) = depths.at([x, y]) else { return false };
     let near = |at: u32, reach: u32, side: u32| {
@@ -254,7 +255,8 @@ fn is_smooth(depths: &Depths, [x, y]: [u32; 2], [across, down]: [u32; 2]) -> boo
     !near(y, down, height).any(|y| near(x, across, width).any(|x| depths.at([x, y]).is_some_and(differs)))
 }
 
-/// A warning if depths are far smaller or larger than the extent of the cameras: their unit then differs from that of the poses.
+/// Returns a warning if depths are far smaller or larger than the extent of the cameras: they then probably have
+/// another unit than the poses.
 fn other_unit(mut depths: Vec<f64>, sources: &[Source]) -> Option<String> {
     let places = || sources.iter().filter_map(|source| source.views.first()).map(|(_, camera)| camera.origin);
     let (low, high) = places()
@@ -269,7 +271,7 @@ fn other_unit(mut depths: Vec<f64>, sources: &[Source]) -> Option<String> {
     if USUAL.contains(&times) {
         return None;
     }
-    // The usual mistake is metres for millimetres or the reverse, a power of 1000.
+    // The usual mistake is metres for millimetres or the reverse, so the factor is a power of 1000.
     let likely = 1e3_f64.powi(-(times.log10() / 3.0).round() as i32);
     Some(format!(
         "the median of the depth images is {median:.3e}, which is {times:.1e} times the extent of the cameras: \

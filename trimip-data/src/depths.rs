@@ -1,5 +1,5 @@
 //! Known depths of the training views: each point that several photographs saw gives the distance at which the rays of
-//! some pixels end. [`depth_images`](crate::depth_images) give that of others.
+//! some pixels end. Depth images give more known depths ([`depth_images`](crate::depth_images)).
 
 use crate::points::{Observation, Point};
 use glam::DVec3;
@@ -8,16 +8,17 @@ use trimip_core::{Scale, View, ViewSet, scene::depths::KnownDepth};
 /// Least error of a point's place in a photograph, pixels: no feature is found more precisely.
 const LEAST_ERROR: f64 = 0.5;
 
-/// Least sine of the angle between the rays that fix a point.
+/// Least sine of the angle between the rays that triangulate a point.
 const LEAST_SINE: f64 = 1e-3;
 
-/// A view agrees with a point if its reprojection error is within the larger of these: pixels of the finest scale, and
-/// a multiple of the view's median error. Wrong poses move all points of a view.
+/// A view agrees with a point if its reprojection error is at most the larger of two limits: `MOST_PIXELS` pixels of
+/// the finest scale, and `MOST_TIMES` times the view's median error, since a wrong pose moves all points of a view.
 const MOST_PIXELS: f64 = 4.0;
 const MOST_TIMES: f64 = 3.0;
 
-/// Known depths of the pixels at all scales in which reliable points were found, sorted by pixel. Where a pixel has several points, the
-/// nearest counts: it hides the others. A point counts if at least half of its training views, and at least two, agree with it.
+/// Returns the known depths of all pixels, at all scales, in which a reliable point was seen, sorted by pixel. If a
+/// pixel has several points, the nearest one counts, because it hides the others. A point is reliable if at least half
+/// of the training views that saw it, and at least two, agree with it.
 pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     let Some(finest) = train.scales.first() else { return Vec::new() };
     let views = &train.views[finest.views.clone()];
@@ -50,7 +51,7 @@ pub(crate) fn of_points(points: &[Point], train: &ViewSet) -> Vec<KnownDepth> {
     nearest(depths)
 }
 
-/// Keeps the finite known depths, only the nearest of each pixel, and sorts them by pixel.
+/// Drops known depths that are not finite, keeps only the nearest of each pixel, and sorts by pixel.
 pub(crate) fn nearest(mut depths: Vec<KnownDepth>) -> Vec<KnownDepth> {
     depths.retain(|known| known.distance.is_finite() && known.deviation > 0.0 && known.deviation.is_finite());
     depths.sort_unstable_by(|a, b| {
@@ -60,8 +61,8 @@ pub(crate) fn nearest(mut depths: Vec<KnownDepth>) -> Vec<KnownDepth> {
     depths
 }
 
-/// Reprojection error of each observation of each point, in the order of its track, pixels of the finest scale. Infinite where the
-/// view has no image of the point, or is none of `views`.
+/// Returns the reprojection errors of each point in pixels of the finest scale, in the order of its track. An error is
+/// infinite if the view has no image of the point or is not among `views`.
 fn errors(points: &[Point], views: &[View]) -> Vec<Vec<f64>> {
     let of_point = |point: &Point| {
         let of =
@@ -71,7 +72,8 @@ fn errors(points: &[Point], views: &[View]) -> Vec<Vec<f64>> {
     points.iter().map(of_point).collect()
 }
 
-/// For each view, the largest error of a point that it agrees with; `errors` are those of the points' tracks.
+/// Returns for each view the largest reprojection error at which the view agrees with a point. `errors` holds the
+/// errors of each point, in the order of its track.
 fn limits(points: &[Point], errors: &[Vec<f64>], views: usize) -> Vec<f64> {
     let mut of_view = vec![Vec::new(); views];
     for (seen, &error) in points.iter().zip(errors).flat_map(|(point, errors)| point.track.iter().zip(errors))
@@ -86,13 +88,13 @@ fn limits(points: &[Point], errors: &[Vec<f64>], views: usize) -> Vec<f64> {
             true => 0.0,
             false => *errors.select_nth_unstable_by(middle, f64::total_cmp).1,
         };
-        // A view that sees most points nowhere near has a wrong pose.
+        // An infinite median means that the view has a wrong pose, so it agrees with no point.
         if median.is_finite() { MOST_PIXELS.max(MOST_TIMES * median) } else { 0.0 }
     };
     of_view.into_iter().map(limit).collect()
 }
 
-/// Sine of the widest angle between two rays to a point, at most a right one.
+/// Returns the sine of the widest angle between two rays to a point, or 1 if this angle is obtuse.
 fn widest_sine(position: DVec3, track: &[Observation], views: &[View]) -> f64 {
     let directions: Vec<DVec3> = track
         .iter()
@@ -105,7 +107,7 @@ fn widest_sine(position: DVec3, track: &[Observation], views: &[View]) -> f64 {
     pairs.map(sine).fold(0.0, f64::max)
 }
 
-/// Index of the pixel of a scale in which a feature lies, among all pixels of the set.
+/// Returns the index, among all pixels of the set, of the pixel of a scale that contains a feature.
 pub(crate) fn pixel(train: &ViewSet, scale: &Scale, seen: &Observation) -> Option<u32> {
     let view = train.views[scale.views.clone()].get(seen.view as usize)?;
     let k = &view.camera.intrinsics;
@@ -119,7 +121,7 @@ mod tests {
     use super::*;
     use trimip_core::{Alpha, Camera, Intrinsics};
 
-    /// Two scales of three views of 8×4 pixels, whose cameras look along −z from x = 0, 1 and 2.
+    /// Returns two scales of three views of 8×4 pixels, whose cameras look along −z from x = 0, 1 and 2.
     fn views() -> ViewSet {
         let camera = |x: f64, level: u32| Camera {
             intrinsics: Intrinsics { cx: 4.0, cy: 2.0, ..Intrinsics::from_angle(8, 4, 0.7) }.reduced(level),
@@ -156,7 +158,7 @@ mod tests {
         let far = 13.0_f64.sqrt();
         for (known, distance) in found.iter().zip([3.0, far, 3.0, far]) {
             assert!((f64::from(known.distance) - distance).abs() < 1e-6, "{known:?}");
-            // One pixel of the finest scale, over the sine of the angle between the views 0 and 2.
+            // One pixel of the finest scale, divided by the sine of the angle between the views 0 and 2.
             let deviation = distance / views().views[0].camera.intrinsics.fx / (2.0 / far);
             assert!((f64::from(known.deviation) - deviation).abs() < 1e-5 * deviation, "{known:?}");
         }
@@ -189,7 +191,7 @@ mod tests {
     #[test]
     fn points_that_are_not_where_the_views_saw_them_tell_nothing() {
         let k = views().views[0].camera.intrinsics;
-        // Where the three views see a place.
+        // The positions at which the three views see a place.
         let seen = |[x, y, z]: [f64; 3]| {
             [0.0, 1.0, 2.0].map(|origin| [k.cx + k.fx * (x - origin) / -z, k.cy - k.fy * y / -z])
         };
@@ -207,7 +209,7 @@ mod tests {
         let wrong = [[0.5, 0.2, 6.0], [6.0, 0.0, -6.0], [0.0, -3.0, -2.0]];
         let wrong = wrong.map(|position| at(position, &track([0.5, 0.2, -6.0])));
         assert_eq!(of_points(&[right.clone(), wrong.to_vec()].concat(), &views()), known);
-        // A point that one view found elsewhere counts in the others.
+        // A point that one view found in a wrong place still counts in the other views.
         let place = [0.5, -0.6, -6.0];
         let mut once = track(place);
         once[1].1 = [7.5, 0.5];
@@ -216,7 +218,7 @@ mod tests {
             finest.filter(|own| !known.contains(own)).map(|own| own.pixel / 32).collect::<Vec<_>>()
         };
         assert_eq!(views_of(&[right.clone(), vec![at(place, &once)]].concat()), [0, 2]);
-        // All features of view 0 are shifted, as by a wrong pose: they still count.
+        // All features of view 0 are shifted, as by a wrong pose: the view still agrees with them.
         let turned = right.iter().cloned().map(|mut point| {
             point.track[0].at[0] -= 4.5;
             point

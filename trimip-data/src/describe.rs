@@ -1,4 +1,4 @@
-//! The description of a scene in a few lines, which is kept with a run.
+//! The description of a scene in a few lines, which a run stores.
 
 use crate::settings::DataConfig;
 use crate::{masks, source::Source, survey::Survey};
@@ -7,7 +7,7 @@ use trimip_core::{
     plural::{count, noun},
 };
 
-/// The first lines of a run: layout, views, sizes, scales, convention, memory.
+/// Returns the first lines of a run: layout, views, sizes, scales, convention, memory.
 pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet) -> Vec<String> {
     let splits: Vec<String> =
         survey.train_splits.iter().map(|(split, count)| format!("{split} {count}")).collect();
@@ -50,7 +50,7 @@ pub(crate) fn description(survey: &Survey, config: &DataConfig, train: &ViewSet)
     lines
 }
 
-/// "800x800", or the range of sizes.
+/// Returns the size of the views as "800x800", or their range of sizes.
 pub(crate) fn sizes(sources: &[Source]) -> String {
     let mut sizes: Vec<(u32, u32)> = sources
         .iter()
@@ -68,7 +68,7 @@ pub(crate) fn sizes(sources: &[Source]) -> String {
     }
 }
 
-/// "with alpha", or how many of the photographs have it.
+/// Returns "with alpha", or how many of the photographs have alpha.
 pub(crate) fn alpha(sources: &[Source]) -> String {
     let files = || sources.iter().flat_map(|source| source.files());
     match (files().filter(|file| file.has_alpha()).count(), files().count()) {

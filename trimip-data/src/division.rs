@@ -27,7 +27,7 @@ pub(crate) enum Selection {
 }
 
 impl Selection {
-    /// The frames among `frames`, in order.
+    /// Returns the indices of the chosen frames, in order, of `frames` frames.
     pub(crate) fn choose(&self, frames: usize) -> Vec<usize> {
         match self {
             Selection::All => (0..frames).collect(),
@@ -37,7 +37,7 @@ impl Selection {
         }
     }
 
-    /// How the frames were divided, a line of the scene's description; `order` says how they are ordered.
+    /// Returns a line for the scene's description about how the frames were divided; `order` says how they are ordered.
     pub(crate) fn note(&self, file: &Path, order: &str) -> Option<String> {
         let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
         matches!(self, Selection::Train | Selection::Test).then(|| {
@@ -45,7 +45,7 @@ impl Selection {
         })
     }
 
-    /// A warning about frames that are in no list.
+    /// Returns a warning about frames that are in no list.
     pub(crate) fn warning(&self, file: &Path) -> Option<String> {
         match self {
             Selection::Listed(_, left) if *left > 0 => {
@@ -56,12 +56,12 @@ impl Selection {
     }
 }
 
-/// The splits that a file lists.
+/// Returns the splits that a file lists.
 pub(crate) fn listed(file: &Node<'_>) -> Vec<&'static str> {
     LISTS.iter().filter(|(_, key)| file.get(key).is_some()).map(|(split, _)| *split).collect()
 }
 
-/// The frames of a split: those of its list if the file has lists, otherwise by their index.
+/// Selects the frames of a split: by its list if the file has lists, otherwise by index.
 pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &str) -> Result<Selection> {
     let lists = listed(file);
     if lists.is_empty() {
@@ -100,7 +100,7 @@ pub(crate) fn divide(path: &Path, file: &Node<'_>, entries: &[Value], split: &st
     Ok(Selection::Listed(frames, owners.iter().filter(|owner| owner.is_none()).count()))
 }
 
-/// The error for a split that is not there.
+/// Returns the error for a split that does not exist.
 pub(crate) fn unknown(place: &Path, split: &str, known: &str) -> Error {
     Error::input(
         place.display(),
@@ -109,7 +109,7 @@ pub(crate) fn unknown(place: &Path, split: &str, known: &str) -> Error {
     )
 }
 
-/// The error for a split without frames.
+/// Returns the error for a split without frames.
 pub(crate) fn empty(place: &Path, split: &str, frames: usize, selection: &Selection) -> Error {
     let advice = match selection {
         Selection::All => "export the frames again",

@@ -1,5 +1,5 @@
-//! Photographs in formats that are not read: recognised by their first bytes, or by the ends of their names, with the
-//! command that converts them to PNG or JPEG.
+//! Photographs in formats that the program does not read: recognised by their first bytes or by their extension, with
+//! the command that converts them to PNG or JPEG.
 
 use std::{
     fs::File,
@@ -7,14 +7,14 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A format of photographs that is not read.
+/// A format of photographs that the program does not read.
 #[derive(Debug, PartialEq)]
 pub struct Foreign {
-    /// Its name with its article.
+    /// Name of the format with its article, such as "a HEIC image".
     pub name: &'static str,
-    /// Ends of file names, in lower case.
+    /// Extensions of file names, in lower case.
     extensions: &'static [&'static str],
-    /// The command that converts; `IN` and `OUT` stand for the file and for its name without extension.
+    /// Command that converts a file; `IN` and `OUT` stand for the file and for its name without extension.
     command: &'static str,
 }
 
@@ -36,12 +36,12 @@ const JXL: Foreign = Foreign { name: "a JPEG XL image", extensions: &["jxl"], co
 const ALL: [&Foreign; 5] = [&HEIC, &AVIF, &RAW, &GIF, &JXL];
 
 impl Foreign {
-    /// True for photographs in the container of HEIF: HEIC and AVIF.
+    /// Returns true for photographs in the container of HEIF: HEIC and AVIF.
     pub fn is_heif(&self) -> bool {
         [&HEIC, &AVIF].contains(&self)
     }
 
-    /// Advice on converting such a file.
+    /// Returns advice on converting such a file.
     pub fn remedy(&self, path: &Path) -> String {
         let shown = |path: &Path| path.display().to_string();
         let command =
@@ -52,19 +52,19 @@ impl Foreign {
     }
 }
 
-/// The format of a file, if it is one that is not read.
+/// Returns the format of a file, if it is one that the program does not read.
 pub(crate) fn of_file(path: &Path) -> Option<&'static Foreign> {
     let mut head = [0; 16];
     let length = File::open(path).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
     of_content(&head[..length]).or(of_name(path))
 }
 
-/// True for a camera's raw image by its name. Most are TIFF files whose first picture is a small copy.
+/// Returns true for a camera's raw image, recognised by its name. Most are TIFF files whose first picture is a small copy.
 pub(crate) fn is_raw(path: &Path) -> bool {
     of_name(path) == Some(&RAW)
 }
 
-/// The file next to the missing `path` in a format that is not read: its name differs in the extension only.
+/// Returns a file in a format that the program does not read, next to the missing `path`: its name differs only in the extension.
 pub(crate) fn beside(path: &Path) -> Option<(PathBuf, &'static Foreign)> {
     let (named, stem) = (path.file_name()?, path.file_stem()?);
     let mut found: Vec<_> = path
@@ -80,15 +80,15 @@ pub(crate) fn beside(path: &Path) -> Option<(PathBuf, &'static Foreign)> {
     found.into_iter().next()
 }
 
-/// The format by the end of a file's name.
+/// Returns the format to which the extension of a file belongs.
 pub(crate) fn of_name(path: &Path) -> Option<&'static Foreign> {
     let extension = path.extension()?.to_str()?.to_lowercase();
     ALL.into_iter().find(|format| format.extensions.contains(&extension.as_str()))
 }
 
-/// The format by the first bytes of a file.
+/// Returns the format that the first bytes of a file show.
 fn of_content(head: &[u8]) -> Option<&'static Foreign> {
-    // ISO base media files state their brand behind the type of their first box.
+    // ISO base media files state their brand after the type of their first box.
     if head.get(4..8) == Some(b"ftyp") {
         return match head.get(8..12)? {
             b"avif" | b"avis" => Some(&AVIF),

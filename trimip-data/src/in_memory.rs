@@ -13,12 +13,12 @@ use trimip_core::{Camera, Result};
 
 pub use crate::readers::reader::{CameraFile, NamedCameras};
 
-/// The files of cameras of all scene readers.
+/// Returns the files of cameras of all scene readers.
 pub fn camera_files() -> impl Iterator<Item = &'static CameraFile> {
     READERS.iter().flat_map(|reader| reader.camera_files)
 }
 
-/// Short names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
+/// Returns the short names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
 ///
 /// # Errors
 /// Invalid syntax, and values that are missing or out of range.
@@ -26,7 +26,7 @@ pub fn transforms(name: &str, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(Strin
     blender::cameras(Path::new(name), bytes, size)
 }
 
-/// Short names and cameras of all entries of a multi-scale set's `metadata.json`, split by split.
+/// Returns the short names and cameras of all entries of a multi-scale set's `metadata.json`, split by split.
 ///
 /// # Errors
 /// As [`transforms`].
@@ -34,7 +34,7 @@ pub fn metadata(name: &str, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
     multiscale::cameras(Path::new(name), bytes)
 }
 
-/// The vertices of a PLY file, ASCII or binary. Vertices whose position is not finite are left out.
+/// Returns the vertices of a PLY file, ASCII or binary. Vertices whose position is not finite are left out.
 ///
 /// # Errors
 /// A header without vertices or format, and numbers that are missing or malformed.
@@ -42,7 +42,7 @@ pub fn ply(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     ply::points(name, bytes)
 }
 
-/// Width, height and RGBA pixels of a photograph: PNG, JPEG, WebP, TIFF or BMP.
+/// Returns width, height and RGBA pixels of a photograph: PNG, JPEG, WebP, TIFF or BMP.
 ///
 /// # Errors
 /// If it cannot be decoded to its end, or has no pixels or more than 2^28.
@@ -51,7 +51,7 @@ pub fn photograph(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
     Ok((image.width(), image.height(), image.into_rgba8().into_raw()))
 }
 
-/// Width, height and kept share of each pixel of a mask, in the formats of [`photograph`]. White is kept.
+/// Returns width, height and the kept share of each pixel of a mask, in the formats of [`photograph`]. White is kept.
 ///
 /// # Errors
 /// As [`photograph`].
@@ -60,7 +60,7 @@ pub fn mask(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
     Ok((image.width(), image.height(), mask::kept(image)))
 }
 
-/// Paths and sizes of the files of a zip archive, each of which is read to its end. At most 64 MiB are unpacked.
+/// Returns the paths and sizes of the files of a zip archive, after reading each file to its end. At most 64 MiB are unpacked.
 ///
 /// # Errors
 /// An archive that is broken or unsafe.

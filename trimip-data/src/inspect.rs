@@ -1,4 +1,4 @@
-//! The longer report of `data inspect`: everything that is known about a scene without training.
+//! The longer report of `data inspect`: everything that the program finds out about a scene without training.
 
 use crate::{
     describe, lens,
@@ -8,18 +8,18 @@ use crate::{
 };
 use trimip_core::{Alpha, Result, plural::count};
 
-/// Everything that is known about a scene without training.
+/// Everything that the program finds out about a scene without training.
 #[derive(Debug)]
 pub struct Inspection {
     /// The scene, with its warnings.
     pub scene: Scene,
     /// Name of its layout.
     pub layout: &'static str,
-    /// The scene in words, a line each, without warnings.
+    /// Lines that describe the scene, without warnings.
     pub lines: Vec<String>,
 }
 
-/// Returns everything that is known about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
+/// Returns everything that the program finds out about a scene without training: lines, then warnings. Progress of reading goes to `watch`.
 ///
 /// # Errors
 /// As [`open`](crate::open).
@@ -29,7 +29,7 @@ pub fn inspect(config: &DataConfig, watch: Watch<'_>) -> Result<Vec<String>> {
     Ok(lines)
 }
 
-/// As [`inspect`], with the scene itself.
+/// Examines a scene as [`inspect`] does, and returns the scene too.
 ///
 /// # Errors
 /// As [`open`](crate::open).
@@ -88,7 +88,7 @@ pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
     Ok(Inspection { layout: survey.layout, lines, scene: opened(survey, config, train) })
 }
 
-/// "4.03", or "3.90 to 4.10".
+/// Formats the range of values as "4.03" or "3.90 to 4.10".
 fn range(values: impl Iterator<Item = f64>) -> String {
     let (low, high) = values
         .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));

@@ -1,5 +1,6 @@
-//! Intrinsics of a frame of a transforms file: size, focal lengths and principal point. Frame keys override file keys; without
-//! `fl_x` the focal length follows from `camera_angle_x`, or as the camera model says. Lengths in pixels, angles in radians.
+//! Intrinsics of a frame of a transforms file: size, focal lengths and principal point. Frame keys override file keys.
+//! Without `fl_x` the focal length follows from `camera_angle_x`, or from another key or default of the camera model.
+//! Lengths are in pixels, angles in radians.
 
 use crate::{json::Node, lens, photograph::Photograph};
 use std::path::Path;
@@ -17,7 +18,7 @@ impl Size {
         Self::named(node, ["w", "h"])
     }
 
-    /// The size under these keys.
+    /// Reads the size from these two keys.
     pub(crate) fn named(node: &Node<'_>, [width, height]: [&str; 2]) -> Result<Self> {
         let side = |key: &str| -> Result<Option<u32>> {
             let Some(value) = node.number(key)? else { return Ok(None) };
@@ -38,7 +39,7 @@ impl Size {
         Self { width: self.width.or(other.width), height: self.height.or(other.height) }
     }
 
-    /// Refuses an image whose size differs.
+    /// Refuses an image of another size.
     pub(crate) fn check(self, image: &Photograph) -> Result<()> {
         let (width, height) = (self.width.unwrap_or(image.width), self.height.unwrap_or(image.height));
         if (width, height) == (image.width, image.height) {
@@ -50,19 +51,19 @@ impl Size {
 
 /// A photograph that was compared with the intrinsics that a file states for it.
 pub(crate) struct Fitted {
-    /// Turned, if it has the stated size only when turned.
+    /// The photograph, turned if it has the stated size only when turned.
     pub(crate) image: Photograph,
-    /// At the size of the photograph.
+    /// Intrinsics at the size of the photograph.
     pub(crate) intrinsics: Intrinsics,
     /// Pixels of the photograph per stated pixel, along x and y.
     pub(crate) factors: [f64; 2],
 }
 
-/// Compares a photograph with the intrinsics that a file states for it. Where the photograph has another size but the
-/// same shape, up to rounding, focal lengths and principal point are scaled with it.
+/// Compares a photograph with the intrinsics that a file states for it. If the photograph has another size but the same
+/// aspect ratio, up to rounding, focal lengths and principal point are scaled to its size.
 ///
 /// # Errors
-/// Of kind `Input`: the photograph has another shape.
+/// Of kind `Input`: the photograph has another aspect ratio.
 pub(crate) fn fitted(image: Photograph, stated: Intrinsics) -> Result<Fitted> {
     let image = image.fit(Some(stated.width), Some(stated.height));
     let (own, sizes) = ([stated.width, stated.height], [image.width, image.height]);
@@ -76,15 +77,15 @@ pub(crate) fn fitted(image: Photograph, stated: Intrinsics) -> Result<Fitted> {
     Ok(Fitted { image, intrinsics, factors })
 }
 
-/// True if the sizes `sizes` and `own` have the same aspect ratio, up to rounding.
+/// Returns true if the sizes `sizes` and `own` have the same aspect ratio, up to rounding.
 pub(crate) fn alike(sizes: [u32; 2], own: [u32; 2]) -> bool {
-    // The factors that round to each side.
+    // Range of the scale factors that round to the side.
     let range = |side: usize| [-1.0, 1.0].map(|by| (f64::from(sizes[side]) + by) / f64::from(own[side]));
     let ([low_x, high_x], [low_y, high_y]) = (range(0), range(1));
     low_x.max(low_y) < high_x.min(high_y)
 }
 
-/// A warning if photographs have another size than `file` states.
+/// Returns a warning if photographs have another size than `file` states.
 pub(crate) fn scaled_along(file: &Path, factors: impl IntoIterator<Item = [f64; 2]>) -> Option<String> {
     let [x, _] = factors.into_iter().find(|factors| *factors != [1.0; 2])?;
     let file = file.display();
@@ -93,7 +94,7 @@ pub(crate) fn scaled_along(file: &Path, factors: impl IntoIterator<Item = [f64; 
     ))
 }
 
-/// The error for a photograph of another size than the stated one.
+/// Returns the error for a photograph of another size than the stated one.
 fn other_size(image: &Photograph, [width, height]: [u32; 2]) -> Error {
     let what = format!(
         "image {} is {}x{} pixels, but the file states {width}x{height}",
@@ -105,10 +106,10 @@ fn other_size(image: &Photograph, [width, height]: [u32; 2]) -> Error {
     Error::input(&image.place, what, advice)
 }
 
-/// The intrinsics of a frame whose image has that size.
+/// Reads the intrinsics of a frame whose image is `width` × `height` pixels.
 pub(crate) fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: u32) -> Result<Intrinsics> {
     let lens = lens::read(file, frame)?;
-    // The focal length of a frame overrides that of the file, in whichever form.
+    // The focal length of a frame overrides that of the file, whichever keys state them.
     let found = match focal(lens.model, frame, width, height)? {
         Some(focal) => Some(focal),
         None => focal(lens.model, file, width, height)?,
@@ -129,8 +130,8 @@ pub(crate) fn intrinsics(file: &Node<'_>, frame: &Node<'_>, width: u32, height: 
     Ok(Intrinsics { width, height, fx, fy, cx: centre("cx", width)?, cy: centre("cy", height)?, lens })
 }
 
-/// Focal lengths from one node: `fl_x` and `fl_y`, otherwise half the side over the tangent of half the field of view, or the
-/// longer side over its world width, as the camera model says.
+/// Reads the focal lengths of one node. They are `fl_x` and `fl_y`; if absent, half the side divided by the tangent of
+/// half the field of view, or the longer side divided by its width in world units, depending on the camera model.
 fn focal(model: Model, node: &Node<'_>, width: u32, height: u32) -> Result<Option<(f64, f64)>> {
     let definition = model.definition();
     if let Some(key) = definition.extent_key

@@ -32,7 +32,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Value> {
     })
 }
 
-/// The word at which the parser stopped, if it is a number that is not finite, such as Python's NaN and Infinity.
+/// Returns the word at which the parser stopped, if it is a number that is not finite, such as Python's NaN and Infinity.
 fn not_a_number(bytes: &[u8], line: usize, column: usize) -> Option<String> {
     let line = bytes.split(|&byte| byte == b'\n').nth(line.checked_sub(1)?)?;
     let is_word = |byte: &u8| byte.is_ascii_alphanumeric() || b"+-.".contains(byte);
@@ -63,7 +63,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// The value of a key; `None` if it is absent or null.
+    /// Returns the value of a key, or `None` if it is absent or null.
     pub(crate) fn get(&self, key: &str) -> Option<&'a Value> {
         self.object.get(key).filter(|value| !value.is_null())
     }
@@ -72,27 +72,27 @@ impl<'a> Node<'a> {
         self.object.keys().map(String::as_str)
     }
 
-    /// The value of a required key.
+    /// Returns the value of a required key.
     pub(crate) fn required(&self, key: &str) -> Result<&'a Value> {
         self.get(key).ok_or_else(|| {
             Error::input(&self.place, format!("has no \"{key}\""), "add the key or export the file again")
         })
     }
 
-    /// The array under a required key.
+    /// Returns the array under a required key.
     pub(crate) fn array(&self, key: &str) -> Result<&'a [Value]> {
         let value = self.required(key)?;
         value.as_array().map(Vec::as_slice).ok_or_else(|| self.unexpected(key, "an array", value))
     }
 
-    /// The number under a key; `None` if it is absent or null.
+    /// Returns the number under a key, or `None` if it is absent or null.
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>> {
         self.get(key)
             .map(|value| value.as_f64().ok_or_else(|| self.unexpected(key, "a number", value)))
             .transpose()
     }
 
-    /// The number under a key, also if it is written as a text; `None` if it is absent or null.
+    /// Returns the number under a key, which may be written as a text, or `None` if it is absent or null.
     pub(crate) fn number_or_text(&self, key: &str) -> Result<Option<f64>> {
         let number = self.get(key).and_then(|value| value.as_str()?.trim().parse().ok());
         match number.filter(|value: &f64| value.is_finite()) {
@@ -101,19 +101,19 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// The text under a key; `None` if it is absent or null.
+    /// Returns the text under a key, or `None` if it is absent or null.
     pub(crate) fn text(&self, key: &str) -> Result<Option<&'a str>> {
         let text = |value: &'a Value| value.as_str().ok_or_else(|| self.unexpected(key, "a text", value));
         self.get(key).map(text).transpose()
     }
 
-    /// The text under a required key.
+    /// Returns the text under a required key.
     pub(crate) fn required_text(&self, key: &str) -> Result<&'a str> {
         let value = self.required(key)?;
         value.as_str().ok_or_else(|| self.unexpected(key, "a text", value))
     }
 
-    /// An error about the value of a key.
+    /// Returns an error about the value of a key.
     pub(crate) fn unexpected(&self, key: &str, expected: &str, value: &Value) -> Error {
         Error::input(
             &self.place,
@@ -123,7 +123,7 @@ impl<'a> Node<'a> {
     }
 }
 
-/// A value as text for a message, shortened if it is long.
+/// Formats a value for a message, shortened if it is long.
 fn kind(value: &Value) -> String {
     match value {
         Value::Null => "null".into(),

@@ -1,4 +1,4 @@
-//! The layout of a scene folder: the reader that recognises it, the error where none does, and its frames by split.
+//! The layout of a scene folder: the reader that recognises it, the error if no reader does, and its frames by split.
 
 use crate::settings::DataConfig;
 use crate::{
@@ -14,7 +14,7 @@ use crate::{
 use std::{borrow::Cow, path::Path};
 use trimip_core::{Error, Result};
 
-/// The value of `data.format` for which the files of a folder choose the reader.
+/// The value of `data.format` with which the files of a folder choose the reader.
 const AUTO: &str = "auto";
 
 /// A scene, opened by its reader.
@@ -24,34 +24,34 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Opens the configured folder; an error if it holds no scene.
+    /// Opens the configured folder, or returns an error if it holds no scene.
     pub(crate) fn open(config: &DataConfig) -> Result<Self> {
         let reader = detect(config)?;
         Ok(Self { reader, scene: (reader.open)(Path::new(&config.root), config)? })
     }
 
-    /// The frames of a split.
+    /// Returns the frames of a split.
     pub(crate) fn split(&self, split: &str) -> Result<Split> {
         self.scene.split(split)
     }
 
-    /// True unless the folder is known to have no such split. Other missing splits are found when they are read.
+    /// Returns false if the folder is known to have no such split. Some missing splits are found only when they are read.
     pub(crate) fn has_split(&self, split: &str) -> Result<bool> {
         self.scene.has_split(split)
     }
 
-    /// True if the files say which frames are trained and tested on.
+    /// Returns true if the files state which frames are for training and which for testing.
     pub(crate) fn states_splits(&self) -> Result<bool> {
         self.scene.states_splits()
     }
 
-    /// All frames of a scene whose files state no splits; `None` if they are read by split.
+    /// Returns all frames of a scene whose files state no splits, or `None` if frames are read by split.
     pub(crate) fn undivided(&self) -> Result<Option<Split>> {
         self.scene.undivided()
     }
 
-    /// All frames from which a list of test frames chooses: those of the file without splits, or those of the splits
-    /// `data.train` and `data.test`.
+    /// Returns all frames from which a list of test frames chooses: those of the file without splits, or those of the
+    /// splits `data.train` and `data.test`.
     pub(crate) fn listable(&self, config: &DataConfig) -> Result<Vec<Split>> {
         if !self.reader.divisible {
             let others = READERS.iter().filter(|reader| reader.divisible);
@@ -72,7 +72,7 @@ impl Layout {
         splits.into_iter().map(|split| self.split(split)).collect()
     }
 
-    /// A warning for a setting that this layout does not read.
+    /// Returns a warning for a setting that this layout does not read.
     pub(crate) fn unread(&self, config: &DataConfig) -> Option<String> {
         let readers: Vec<String> =
             READERS.iter().filter_map(|reader| reader.images).map(str::to_string).collect();
@@ -83,7 +83,7 @@ impl Layout {
     }
 }
 
-/// The settings with the folder of the scene in place of its archive, and a note about the unpacked files.
+/// Returns the settings with the unpacked folder in place of the scene's archive, and a note about the unpacked files.
 pub(crate) fn unpacked(config: &DataConfig) -> Result<(Cow<'_, DataConfig>, Option<String>)> {
     let named = named(config)?;
     let root = Path::new(&config.root);
@@ -103,7 +103,7 @@ pub(crate) fn unpacked(config: &DataConfig) -> Result<(Cow<'_, DataConfig>, Opti
     Ok((Cow::Owned(DataConfig { root, ..config.clone() }), Some(unpacked.note)))
 }
 
-/// The reader that `data.format` names; `None` if the files of a folder choose it.
+/// Returns the reader that `data.format` names, or `None` for "auto", when the files of the folder choose the reader.
 fn named(config: &DataConfig) -> Result<Option<&'static Reader>> {
     match config.format.as_str() {
         AUTO => Ok(None),
@@ -111,13 +111,13 @@ fn named(config: &DataConfig) -> Result<Option<&'static Reader>> {
     }
 }
 
-/// The files by which scenes are recognised, in words.
+/// Lists the files by which scenes are recognised, for messages.
 fn looked_for() -> String {
     let files: Vec<String> = READERS.iter().filter_map(|reader| reader.files).map(str::to_string).collect();
     listed(&files, "and")
 }
 
-/// The reader of the configured folder; an error if it has none.
+/// Returns the reader of the configured folder, or an error if it has none.
 fn detect(config: &DataConfig) -> Result<&'static Reader> {
     let named = named(config)?;
     if let Some(reader) = named.filter(|reader| reader.files.is_none()) {
@@ -140,7 +140,7 @@ fn detect(config: &DataConfig) -> Result<&'static Reader> {
     })
 }
 
-/// The reader with that value of `data.format`.
+/// Returns the reader with that value of `data.format`.
 fn of_format(format: &str) -> Result<&'static Reader> {
     READERS.iter().copied().find(|reader| reader.format == format).ok_or_else(|| {
         let what = format!("\"{format}\" is not a layout of scenes");
@@ -148,18 +148,18 @@ fn of_format(format: &str) -> Result<&'static Reader> {
     })
 }
 
-/// True for a value of `data.format`.
+/// Returns true for a valid value of `data.format`.
 pub(crate) fn is_format(format: &str) -> bool {
     format == AUTO || READERS.iter().any(|reader| reader.format == format)
 }
 
-/// The values of `data.format`, in words.
+/// Lists the values of `data.format`, for messages.
 pub(crate) fn formats() -> String {
     let known = std::iter::once(AUTO).chain(READERS.iter().map(|reader| reader.format));
     listed(&known.map(|format| format!("\"{format}\"")).collect::<Vec<_>>(), "or")
 }
 
-/// `a`, `a or b`, `a, b or c`.
+/// Joins words as `a`, `a or b`, `a, b or c`; `last` is the word before the last one.
 fn listed(words: &[String], last: &str) -> String {
     match words {
         [] => String::new(),

@@ -4,18 +4,19 @@ use crate::json::Node;
 use serde_json::Value;
 use trimip_core::{Error, Lens, Place, Result, geometry::projections::Model};
 
-/// Coefficients in the files.
+/// Keys of the coefficients in the files.
 const TERMS: [&str; 10] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2", "sx1", "sy1"];
 
-/// The lens of a frame of a camera file, with the terms that the file gives for all its frames. `place` names the frame.
+/// Reads the lens of a frame of a camera file; coefficients that the frame does not have come from the file. `place`
+/// names the frame in errors.
 ///
 /// # Errors
-/// When the model is unknown, or has no such coefficients.
+/// If the model is unknown, or does not have these coefficients.
 pub fn lens_of(place: &Place, file: &Value, frame: &Value) -> Result<Lens> {
     read(&Node::new(place, file)?, &Node::new(place, frame)?)
 }
 
-/// Camera model and coefficients of a lens as [`lens_of`] reads them, without those that are 0; `None` for a pinhole.
+/// Returns the camera model of a lens and its coefficients other than 0, under the keys that [`lens_of`] reads; `None` for a pinhole.
 pub fn lens_terms(lens: &Lens) -> Option<(&'static str, Vec<(&'static str, f64)>)> {
     if lens.is_straight() {
         return None;
@@ -51,7 +52,7 @@ pub(crate) fn of_column(place: &Place, file: &Node<'_>, index: usize) -> Result<
     lens_of(place, &Value::Object(serde_json::Map::new()), &Value::Object(frame))
 }
 
-/// A lens in words: its model and coefficients.
+/// Describes a lens: its model and coefficients.
 pub(crate) fn described(lens: &Lens) -> Option<String> {
     let (model, terms) = lens_terms(lens)?;
     let terms: Vec<String> = terms.iter().map(|(key, term)| format!("{key} = {term}")).collect();
@@ -61,7 +62,7 @@ pub(crate) fn described(lens: &Lens) -> Option<String> {
 /// Reads the lens of `frame`.
 ///
 /// # Errors
-/// When the model is unknown, or has no such coefficients.
+/// If the model is unknown, or does not have these coefficients.
 pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
     let mut terms = [0.0; 10];
     for (term, key) in terms.iter_mut().zip(TERMS) {
@@ -105,8 +106,8 @@ pub(crate) fn read(file: &Node<'_>, frame: &Node<'_>) -> Result<Lens> {
     }
 }
 
-/// The camera model that is stated, and its name in the file. Without one, coefficients are those of nerfstudio's `OPENCV`, or
-/// of the model that a flag of instant-ngp chooses.
+/// Returns the camera model that is stated, and its name in the file. If none is stated, this is the model that a flag
+/// of instant-ngp chooses, otherwise nerfstudio's `OPENCV`.
 fn model(file: &Node<'_>, frame: &Node<'_>) -> Result<(Model, &'static str)> {
     let stated = |key: &str| [frame, file].into_iter().find_map(|node| Some((node, node.get(key)?)));
     let Some((node, value)) = stated("camera_model") else {
@@ -150,7 +151,7 @@ mod tests {
         let terms = json!({ "k1": 0.1, "k2": -0.02, "p1": 0.003, "p2": -0.001 });
         let opencv = Lens::perspective([0.1, -0.02, 0.0, 0.0], [0.003, -0.001], [0.0; 3]);
         assert_eq!(lens(terms.clone(), json!({})).unwrap(), opencv);
-        // The frame's own numbers come first.
+        // The frame's own numbers override those of the file.
         let own = Lens::perspective([0.2, -0.02, 0.0, 0.0], [0.003, -0.001], [0.0; 3]);
         assert_eq!(lens(terms, json!({ "k1": 0.2, "camera_model": "OPENCV" })).unwrap(), own);
         let four = json!({ "k1": 0.1, "k2": 0.2, "k3": 0.3, "k4": 0.4 });

@@ -1,7 +1,7 @@
-//! Photographs with cameras, ready to train and test on: Blender JSON folders, COLMAP models, LLFF captures, exports of OpenSfM,
-//! Bundler, Metashape, RealityCapture, Polycam and Record3D, data sets of NSVF and ARKitScenes, the public multi-scale set's `metadata.json`, and
-//! a built-in ray-traced scene that needs no files. Poses are camera-to-world, OpenGL axes;
-//! lengths are world units, angles radians, focal lengths pixels.
+//! Photographs with cameras, ready for training and testing: Blender JSON folders, COLMAP models, LLFF captures,
+//! exports of OpenSfM, Bundler, Metashape, RealityCapture, Polycam and Record3D, data sets of NSVF and ARKitScenes, the
+//! public multi-scale set's `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are
+//! camera-to-world with OpenGL axes. Lengths are in world units, angles in radians, focal lengths in pixels.
 //!
 //! ```
 //! use trimip_core::Frames;

@@ -1,4 +1,4 @@
-//! The list of test frames (`data.test_list`): a text file with one image name per line, in any way that [`Index`]
+//! The list of test frames (`data.test_list`): a text file with one image name per line, in any form that [`Index`]
 //! finds. Empty lines and lines that begin with # are skipped.
 
 use crate::{
@@ -48,13 +48,13 @@ pub(crate) fn divide(root: &Path, named: &str, sources: Vec<Source>) -> Result<(
     Ok((frames(train), frames(test)))
 }
 
-/// Path of a frame's photograph within the scene.
+/// Returns the path of a frame's photograph within the scene.
 fn written(root: &Path, source: &Source) -> String {
     let path = source.files().first().map_or(Path::new(&source.name), |file| file.path.as_path());
     path.strip_prefix(root).unwrap_or(path).to_string_lossy().into_owned()
 }
 
-/// The first of several names, in words.
+/// Lists the first of several names, for a message.
 fn some(names: &[&str]) -> String {
     let shown: Vec<String> =
         names.iter().take(MOST_NAMED).map(|name| name.chars().take(80).collect()).collect();

@@ -1,5 +1,5 @@
-//! Frames that a file lists with their cameras, as other programs export them. Their photographs are found when the
-//! file is opened, and compared with the cameras when a split is read.
+//! Frames and cameras that a file of another program lists. Their photographs are found when the file is opened, and
+//! compared with the cameras when a split is read.
 
 use crate::{
     depth_image::DepthFile,
@@ -36,19 +36,21 @@ pub(crate) struct Frame {
     pub(crate) split: Option<&'static str>,
 }
 
-/// How a photograph was projected.
+/// Intrinsics of a photograph, in the form in which its file states them.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Calibration {
     /// For photographs of a stated size.
     Sized(Intrinsics),
-    /// For photographs of any size; lengths are in their pixels. Without a principal point it is the middle of the photograph.
+    /// For photographs of any size: lengths are in pixels of the photograph. Without `centre`, the principal point is
+    /// the middle of the photograph.
     Unsized { focal: [f64; 2], centre: Option<[f64; 2]>, lens: Lens },
-    /// For photographs of any size; lengths are multiples of their longer side, and the principal point is counted from their middle.
+    /// For photographs of any size: lengths are multiples of the photograph's longer side, and the principal point is
+    /// relative to its middle.
     Relative { focal: f64, centre: [f64; 2], lens: Lens },
 }
 
 impl Calibration {
-    /// The intrinsics; photographs have the size `[width, height]` if none is stated.
+    /// Returns the intrinsics; `[width, height]` is the size of the photograph if the file states none.
     fn intrinsics(&self, [width, height]: [u32; 2]) -> Intrinsics {
         match *self {
             Calibration::Sized(intrinsics) => intrinsics,
@@ -67,20 +69,21 @@ impl Calibration {
 }
 
 impl Frame {
-    /// Its camera; photographs have the size `size` if none is stated.
+    /// Returns the camera; `size` is the size of the photograph if the file states none.
     pub(crate) fn camera(&self, size: [u32; 2]) -> Camera {
         let intrinsics = self.calibration.intrinsics(size);
         Camera { intrinsics, rotation: self.rotation, origin: self.origin }
     }
 }
 
-/// Rotation and centre of a camera whose pose is world-to-camera with x right, y down and z forward, as in computer vision.
+/// Converts a world-to-camera pose with x right, y down and z forward, as in computer vision, to the camera-to-world
+/// rotation in OpenGL axes and the centre.
 pub(crate) fn vision_pose(to_camera: DMat3, translation: DVec3) -> (DMat3, DVec3) {
     let to_world = to_camera.transpose();
     (DMat3::from_cols(to_world.x_axis, -to_world.y_axis, -to_world.z_axis), -(to_world * translation))
 }
 
-/// All frames of a scene whose photographs exist; every 8th is the test split, unless the file divides them.
+/// All frames of a scene whose photographs exist. Every 8th is a test frame, unless the file divides the frames.
 pub(crate) struct Listing {
     file: PathBuf,
     frames: Vec<(Frame, PathBuf)>,
@@ -88,13 +91,13 @@ pub(crate) struct Listing {
     depths: Vec<Option<DepthFile>>,
     names: Vec<String>,
     scales: u32,
-    /// Metadata of the file, given to the first split that is read.
+    /// Metadata of the file; the first split that is read takes it.
     facts: Cell<Split>,
 }
 
 impl Listing {
-    /// The frames of `file` in the folder of a scene, without those whose photographs are missing. `facts` is the other
-    /// metadata of the file, as a split without frames. If it states no box, the box lies around its points.
+    /// Collects the frames of `file` in the folder of a scene, without those whose photographs are missing. `facts` is
+    /// the other metadata of the file, as a split without frames. If it states no box, the box lies around its points.
     ///
     /// # Errors
     /// Of kind `Input`: there is no frame, more than half of the photographs are missing, or `data.images` is no folder.
@@ -122,13 +125,13 @@ impl Listing {
         Ok(Self { file: file.into(), frames, depths, names, scales: config.scales, facts })
     }
 
-    /// The same frames with the depth images that `of` finds by the paths of photographs.
+    /// Returns the same frames with the depth images that `of` finds for the paths of photographs.
     pub(crate) fn with_depths(mut self, of: impl Fn(&Path) -> Option<DepthFile>) -> Self {
         self.depths = self.frames.iter().map(|(_, path)| of(path)).collect();
         self
     }
 
-    /// True if the file divides the frames.
+    /// Returns true if the file divides the frames.
     fn is_divided(&self) -> bool {
         self.frames.iter().any(|(frame, _)| frame.split.is_some())
     }

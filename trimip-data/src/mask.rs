@@ -1,20 +1,20 @@
-//! One mask: a picture of the size of its photograph that says which pixels are kept. Grey is its brightest channel; a
-//! mask of one colour has its shape in alpha. Shares are 8-bit: 255 is kept whole.
+//! A mask: a picture of the size of its photograph that marks the pixels to keep. The value of a pixel is its brightest
+//! colour channel, or its alpha if all pixels have one colour. Kept shares have 8 bits: 255 is kept whole.
 
 use crate::photograph::Photograph;
 use image::{DynamicImage, ImageBuffer, Luma, Rgb};
 use std::path::PathBuf;
 use trimip_core::{Error, Result};
 
-/// Greatest deviation from black or white that the compression of a JPEG causes, of 255.
+/// Greatest deviation from black or white that the compression of a JPEG causes, in steps of 1/255.
 const TRACES: u8 = 24;
 
-/// Meaning of pixels that are not kept.
+/// Meaning of the pixels that a mask does not keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// Empty space: the mask is the photograph's alpha.
     Object,
-    /// Unknown: it is neither trained nor evaluated.
+    /// Unknown: the pixel is neither trained nor evaluated.
     Ignore,
 }
 
@@ -22,16 +22,16 @@ pub(crate) enum Role {
 #[derive(Debug)]
 pub(crate) struct Mask {
     file: Photograph,
-    /// True if white marks what is kept, otherwise black does.
+    /// True if white marks the kept pixels, false if black does.
     white: bool,
     role: Role,
 }
 
 impl Mask {
-    /// The mask in a file.
+    /// Opens the mask in a file.
     ///
     /// # Errors
-    /// If it is no image, or not of the size of `photograph`.
+    /// If the file is no image, or does not have the size of `photograph`.
     pub(crate) fn open(path: PathBuf, photograph: &Photograph, white: bool, role: Role) -> Result<Self> {
         let file = Photograph::open(path, photograph.place.clone())?;
         if (file.width, file.height) != (photograph.width, photograph.height) {
@@ -60,13 +60,13 @@ impl Mask {
         self.role
     }
 
-    /// True if white marks what is kept.
+    /// Returns true if white marks the kept pixels.
     pub(crate) fn keeps_white(&self) -> bool {
         self.white
     }
 
     /// Multiplies the alpha of straight pixels by the mask, row by row. Pixels of which nothing is kept become black:
-    /// their colour is that of the background, and would count in means of straight colours.
+    /// their colour is that of the background, and would enter the means of straight colours.
     ///
     /// # Errors
     /// If the mask cannot be decoded.
@@ -84,13 +84,13 @@ impl Mask {
     }
 }
 
-/// The kept share of each pixel of a mask of an object whose white is kept.
+/// Returns the kept share of each pixel of an object's mask whose white is kept.
 pub(crate) fn kept(image: DynamicImage) -> Vec<u8> {
     fractions(image, true, Role::Object)
 }
 
-/// Sharpens a mask that was stored as a JPEG: greys near black and white are traces of its compression. Where grey has
-/// no meaning, values below half are black and others white.
+/// Sharpens a mask that was stored as a JPEG: values near black and white are traces of the compression and become black
+/// and white. For [`Role::Ignore`], where grey has no meaning, values below half become black and all others white.
 fn sharpened(image: DynamicImage, role: Role) -> DynamicImage {
     let (black, white) = if role == Role::Ignore { (127, 128) } else { (TRACES, 255 - TRACES) };
     let image = image.into_rgb8();
@@ -105,7 +105,7 @@ fn sharpened(image: DynamicImage, role: Role) -> DynamicImage {
     ImageBuffer::from_fn(image.width(), image.height(), sharp).into()
 }
 
-/// The kept share of each pixel of a mask.
+/// Returns the kept share of each pixel of a mask.
 fn fractions(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
     let transparent = image.color().has_alpha();
     let rgba = image.into_rgba16().into_raw();
@@ -116,7 +116,7 @@ fn fractions(image: DynamicImage, white: bool, role: Role) -> Vec<u8> {
     let shape_in_alpha =
         transparent && same(&|&[r, g, b, _]| [r, g, b]) && !same(&|&[.., alpha]| [alpha, 0, 0]);
     let grey = |&[r, g, b, alpha]: &[u16; 4]| if shape_in_alpha { alpha } else { r.max(g).max(b) };
-    // Masks of two values may have any number for white: 1, 128, 255.
+    // Masks of two values may have any number for white, such as 1, 128 or 255.
     let most = pixels.iter().map(grey).max().unwrap_or(0);
     let two_values = pixels.iter().map(grey).all(|value| value == 0 || value == most);
     let fraction = |value: u16| match value {
@@ -171,7 +171,7 @@ mod tests {
             assert_eq!(of([0_u8, 1, 0, 1].map(|v| Luma([v])), true, role), expected, "labels 0 and 1");
             assert_eq!(of([0_u16, 1, 0, 1].map(|v| Luma([v])), true, role), expected, "labels of 16 bits");
             assert_eq!(of(grey.map(|v| Luma([v])), false, role), [255, 0, 255, 0], "black keeps");
-            // A picture of one colour that is opaque keeps all or nothing by its colour.
+            // An opaque picture of one colour keeps all or nothing, depending on its colour.
             assert_eq!(of([Rgba([0_u8, 0, 0, 255]); 4], true, role), [0; 4]);
             assert_eq!(of([Rgba([255_u8, 255, 255, 255]); 4], true, role), [255; 4]);
         }
@@ -182,7 +182,7 @@ mod tests {
         let soft = [0_u8, 1, 128, 255].map(|v| Luma([v]));
         assert_eq!(of(soft, true, Role::Object), [0, 1, 128, 255]);
         assert_eq!(of(soft, false, Role::Object), [255, 254, 127, 0]);
-        // Any other value than black is white, in nerfstudio's masks and in Instant-NGP's.
+        // In nerfstudio's and Instant-NGP's masks, every value other than black is white.
         assert_eq!(of(soft, true, Role::Ignore), [0, 255, 255, 255]);
         assert_eq!(of(soft, false, Role::Ignore), [255, 0, 0, 0]);
     }

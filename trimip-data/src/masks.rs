@@ -1,4 +1,4 @@
-//! The masks of a scene: where they are found, their meaning, and warnings about them. A mask is stated by its frame (`mask_path`,
+//! The masks of a scene: where they are found, their meaning, and warnings about them. A mask is named by its frame (`mask_path`,
 //! nerfstudio), has the path of its photograph in a folder of masks (COLMAP), or lies next to its photograph (Instant-NGP).
 
 use crate::settings::{DataConfig, MaskKeeps, MaskRole};
@@ -14,7 +14,7 @@ use std::{
 };
 use trimip_core::{Alpha, Error, Result, ViewSet, plural::count};
 
-/// The folder that is searched if none is named.
+/// The folder that is searched if the settings name none.
 const FOLDER: &str = "masks";
 
 /// The value of `data.masks` for no masks.
@@ -29,7 +29,7 @@ enum Kind {
 }
 
 impl Kind {
-    /// True if white marks what is kept.
+    /// Returns true if white marks the kept pixels.
     fn white(self, config: &DataConfig) -> bool {
         match config.mask_keeps {
             MaskKeeps::Auto => self != Self::Dynamic,
@@ -50,7 +50,8 @@ impl Kind {
 /// Finds the masks of all frames and stores them in their sources. Returns the meaning of alpha in the set.
 ///
 /// # Errors
-/// If a stated mask is missing, or a mask has another size, belongs to two photographs, or has another role than the others.
+/// If a stated mask is missing, or a mask has another size than its photograph, belongs to two photographs, or has
+/// another role than the other masks.
 pub(crate) fn find(config: &DataConfig, sources: &mut [&mut Source]) -> Result<Alpha> {
     let straight = Alpha::from(config.convention);
     let named = !["", NONE].contains(&config.masks.as_str());
@@ -111,7 +112,7 @@ struct MaskSearch<'a> {
     config: &'a DataConfig,
     root: &'a Path,
     folder: Option<&'a Path>,
-    /// True if the folder is the only place.
+    /// True if the settings name the folder, so that no other place is searched.
     named: bool,
 }
 
@@ -142,8 +143,8 @@ impl MaskSearch<'_> {
         Ok(beside.map(|path| (Kind::Dynamic, path)))
     }
 
-    /// Files of the folder that may be the mask. Folders: the photograph's subfolder, then the same without its outer
-    /// levels. Names: the photograph's, with and without its extension, plus any ending of a picture, PNG first.
+    /// Returns the paths in the folder at which the mask may lie. Their folders are the photograph's subfolder, then this subfolder without
+    /// its outer levels. Their names are the photograph's, with and without its extension, followed by any ending of a picture, PNG first.
     fn candidates(&self, photograph: &Photograph) -> Vec<PathBuf> {
         let Some(folder) = self.folder else { return Vec::new() };
         let parts = below(&photograph.path, self.root);
@@ -157,7 +158,7 @@ impl MaskSearch<'_> {
         within.filter(|path| *path != photograph.path).collect()
     }
 
-    /// The error of a folder without any mask.
+    /// Returns the error for a folder without any mask.
     fn none(&self, sources: &[&mut Source]) -> Error {
         let files = || sources.iter().flat_map(|source| source.files());
         let tried: Vec<String> = files()
@@ -180,7 +181,7 @@ impl MaskSearch<'_> {
     }
 }
 
-/// The parts of a path below `root`; the file name alone for a path elsewhere.
+/// Returns the parts of a path below `root`, or only the file name if the path is elsewhere.
 fn below(path: &Path, root: &Path) -> Vec<String> {
     let parts = path.strip_prefix(root).unwrap_or(Path::new(path.file_name().unwrap_or_default()));
     let mut named = Vec::new();
@@ -195,13 +196,13 @@ fn below(path: &Path, root: &Path) -> Vec<String> {
     named
 }
 
-/// Instant-NGP's mask next to a photograph.
+/// Returns the path of Instant-NGP's mask next to a photograph.
 fn dynamic(photograph: &Photograph) -> Option<PathBuf> {
     let stem = photograph.path.file_stem()?.to_string_lossy();
     Some(photograph.path.with_file_name(format!("dynamic_mask_{stem}.png")))
 }
 
-/// A warning if some of the photographs have no mask, or if the folder of masks exists but has none of any photograph.
+/// Returns a warning if some of the photographs have no mask, or if the folder of masks exists but holds no mask of any photograph.
 pub(crate) fn missing(config: &DataConfig, sources: &[&Source]) -> Option<String> {
     let (all, without): (usize, Vec<&&Source>) =
         (sources.len(), sources.iter().filter(|source| source.mask.is_none()).collect());
@@ -222,7 +223,7 @@ pub(crate) fn missing(config: &DataConfig, sources: &[&Source]) -> Option<String
     }
 }
 
-/// A line about the masks of `sources`, whose pixels are the finest of `set`; `None` if there are none.
+/// Returns a line about the masks of `sources`, measured at the finest scale of `set`, or `None` if there are none.
 pub(crate) fn described(sources: &[Source], set: &ViewSet) -> Option<String> {
     let masks: Vec<&Mask> = sources.iter().filter_map(|source| source.mask.as_ref()).collect();
     let first = masks.first()?;
@@ -242,21 +243,21 @@ pub(crate) fn described(sources: &[Source], set: &ViewSet) -> Option<String> {
     ))
 }
 
-/// Shares of a view that its mask keeps, in [0, 1].
+/// Shares of a view that its mask keeps, in [0, 1]: of all pixels, of a border, and of the centre.
 struct Kept {
     all: f64,
-    /// Share of a border of one twentieth of the sides; `centre` is that of the middle third of rows and columns.
+    /// The border is one twentieth of the sides wide; the centre is the middle third of rows and columns.
     border: f64,
     centre: f64,
 }
 
-/// Masks are probably inverted if they keep more than the first share of the border and less than the second of the centre.
+/// Masks are probably inverted if they keep more than the first share of the border and less than the second share of the centre.
 const INVERTED: [f64; 2] = [0.75, 0.5];
 
 /// Masks of ignored pixels are probably inverted if they keep less than this share.
 const LITTLE: f64 = 0.1;
 
-/// Warnings about masks that keep all or nothing, or the wrong part.
+/// Returns warnings about masks that keep all or nothing, or the wrong part.
 pub(crate) fn warnings(sources: &[Source], set: &ViewSet) -> Vec<String> {
     let kept = measured(sources, set);
     let Some(role) = sources.iter().find_map(|source| source.mask.as_ref()).map(Mask::role) else {
@@ -286,7 +287,7 @@ pub(crate) fn warnings(sources: &[Source], set: &ViewSet) -> Vec<String> {
     warnings
 }
 
-/// Name and kept shares of each masked view, at the finest scale.
+/// Returns the name and the kept shares of each masked view, at the finest scale.
 fn measured<'a>(sources: &'a [Source], set: &ViewSet) -> Vec<(&'a str, Kept)> {
     let finest = set.scales.first().map_or(0..0, |scale| scale.views.clone());
     let views = finest.zip(sources).filter(|(_, source)| source.mask.is_some());

@@ -1,4 +1,4 @@
-//! The files in a folder without a scene from which one can be made: photographs, films, archives, a database of COLMAP.
+//! The files in a folder without a scene from which a scene can be made: photographs, films, archives, a database of COLMAP.
 
 use crate::{
     foreign::{self, Foreign},
@@ -8,28 +8,28 @@ use crate::{
 };
 use std::path::{Path, PathBuf};
 
-/// Most levels below the folder that are searched, and most files.
+/// Number of levels below the folder that are searched, and most files.
 const MOST_DEPTH: usize = 3;
 const MOST_FILES: usize = 100_000;
 
-/// Endings of films, and of archives that are not unpacked.
+/// Endings of films, and of archives that the program cannot unpack.
 const FILMS: [&str; 11] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "insv", "mts", "m2ts", "3gp", "mpg"];
 const ARCHIVES: [&str; 5] = ["tar", "gz", "tgz", "7z", "rar"];
 
 /// Beginnings of the names of folders whose pictures are no photographs, in lower case.
 const NO_PHOTOGRAPHS: [&str; 3] = ["mask", "depth", "confidence"];
 
-/// File in which COLMAP keeps features and matches.
+/// File in which COLMAP stores features and matches.
 const DATABASE: &str = "database.db";
 
-/// The files in a folder and below it from which a scene can be made, each kind in the order of levels and paths.
+/// The files in a folder and below it from which a scene can be made, each kind sorted by level, then by path.
 #[derive(Default)]
 pub struct Material {
-    /// The first folder below with a scene.
+    /// The first folder below that holds a scene.
     pub scene: Option<PathBuf>,
-    /// Photographs in formats that are read, as their names say.
+    /// Photographs in formats that the program reads, judged by their names.
     pub pictures: Vec<PathBuf>,
-    /// Photographs in formats that have to be converted first, as their names say.
+    /// Photographs in formats that have to be converted first, judged by their names.
     pub foreign: Vec<(PathBuf, &'static Foreign)>,
     /// Films.
     pub films: Vec<PathBuf>,
@@ -42,12 +42,12 @@ pub struct Material {
 }
 
 impl Material {
-    /// Lists such files of a folder. Folders of masks and depth images are left out.
+    /// Lists the usable files of a folder. Folders of masks and depth images are left out.
     pub fn of(root: &Path) -> Self {
         Self::called(root, root)
     }
 
-    /// As [`of`](Self::of) for `root`, with paths below `named`.
+    /// Lists the files as [`of`](Self::of) does for `root`, with paths that begin with `named` instead.
     pub(crate) fn called(root: &Path, named: &Path) -> Self {
         let called =
             |path: PathBuf| path.strip_prefix(root).map_or_else(|_| path.clone(), |below| named.join(below));
@@ -82,7 +82,7 @@ impl Material {
         content
     }
 
-    /// True if there is a scene, a photograph or a film.
+    /// Returns true if there is a scene, a photograph or a film.
     pub fn is_any(&self) -> bool {
         self.scene.is_some()
             || !(self.pictures.is_empty() && self.foreign.is_empty() && self.films.is_empty())
@@ -108,18 +108,18 @@ impl Material {
     }
 }
 
-/// True for a path with the ending of a film.
+/// Returns true for a path with the ending of a film.
 pub fn is_film(path: &Path) -> bool {
     FILMS.contains(&ending(path).as_str())
 }
 
-/// True if a folder is a scene: its files have cameras.
+/// Returns true if a folder is a scene: its files have cameras.
 pub fn has_cameras(folder: &Path) -> bool {
     found(folder).is_some()
 }
 
-/// The format of a photograph that has to be converted first, by its first bytes, otherwise by its name; `None` for one that is
-/// read as it is.
+/// Returns the format of a photograph that has to be converted first, recognised by its first bytes, otherwise by its
+/// name. `None` for a photograph in a format that the program reads.
 pub fn foreign_format(path: &Path) -> Option<&'static Foreign> {
     foreign::of_file(path)
 }
@@ -129,7 +129,7 @@ fn may_hold_photographs(folder: &Path) -> bool {
     !name.starts_with('.') && !NO_PHOTOGRAPHS.iter().any(|start| name.starts_with(start))
 }
 
-/// The ending of a name without its dot, in lower case.
+/// Returns the ending of a name without its dot, in lower case.
 fn ending(path: &Path) -> String {
     path.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default()
 }

@@ -8,8 +8,8 @@ use crate::{
 use std::path::{Path, PathBuf};
 use trimip_core::Result;
 
-/// Unpacks an archive of photographs or of a film to a folder next to it, unless this folder exists already, as for an
-/// archive of a scene. Returns the folder, and a note about the unpacked files.
+/// Unpacks an archive of photographs or of a film to a folder next to it, as archives of scenes are unpacked, unless
+/// this folder exists already. Returns the folder, and a note about the unpacked files.
 ///
 /// # Errors
 /// Of kind `Input`: an archive that is broken, unsafe or holds no such files, and a folder that cannot be written or

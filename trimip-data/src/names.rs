@@ -1,22 +1,22 @@
-//! Names of images: finding one image by the different names that files, lists and users write, and short unique names for pictures.
+//! Names of images: finds an image by the different names that files, lists and users write, and makes short unique names for pictures.
 
 use std::{collections::HashMap, path::Path};
 
 /// Endings of photographs.
 pub(crate) const ENDINGS: [&str; 7] = [".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"];
 
-/// True if a path ends as a photograph does and is not hidden: macOS puts `._1.jpg` next to `1.jpg` on other file systems.
+/// Returns true if a path has the ending of a photograph and is not hidden: macOS puts `._1.jpg` next to `1.jpg` on other file systems.
 pub(crate) fn is_picture(path: &Path) -> bool {
     let name = path.to_string_lossy().to_lowercase();
     !is_hidden(path) && ENDINGS.iter().any(|end| name.ends_with(end))
 }
 
-/// True for a name that begins with a dot.
+/// Returns true for a name that begins with a dot.
 pub(crate) fn is_hidden(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'))
 }
 
-/// A path with forward slashes, without `./` before it and without the ending of a photograph.
+/// Returns a path with forward slashes, without `./` before it and without the ending of a photograph.
 pub(crate) fn key(named: &str) -> String {
     let path = named.replace('\\', "/");
     let path = path.trim_start_matches("./");
@@ -25,14 +25,14 @@ pub(crate) fn key(named: &str) -> String {
     known.and_then(|end| path.get(..path.len() - end.len())).unwrap_or(path).to_string()
 }
 
-/// File name without folder and ending, for pictures and messages.
+/// Returns the file name without folder and ending, for pictures and messages.
 pub(crate) fn stem(named: &str) -> String {
     let key = key(named);
     key.rsplit('/').next().unwrap_or(&key).to_string()
 }
 
-/// A unique name for the pictures of each image: its stem. If any two stems are equal, all names are paths below the
-/// folder of all images, with a number where these are equal too.
+/// Returns a unique name for the pictures of each image: its stem. If any two stems are equal, the names are the paths
+/// below the common folder of all images, with `_` for `/`; equal paths get numbers.
 pub(crate) fn unique<T: AsRef<str>>(images: &[T]) -> Vec<String> {
     let stems: Vec<String> = images.iter().map(|image| stem(image.as_ref())).collect();
     let mut counts: HashMap<&str, usize> = HashMap::new();
@@ -57,7 +57,7 @@ pub(crate) fn unique<T: AsRef<str>>(images: &[T]) -> Vec<String> {
         .collect()
 }
 
-/// Length of the folder, with its last slash, in which all paths lie.
+/// Returns the length of the common folder of all paths, including its last slash.
 fn shared_folder(keys: &[String]) -> usize {
     let Some((first, others)) = keys.split_first() else { return 0 };
     let ends = first.match_indices('/').map(|(at, _)| at + 1);
@@ -67,11 +67,11 @@ fn shared_folder(keys: &[String]) -> usize {
 /// Finds images by the names that users write.
 pub(crate) struct Index {
     keys: Vec<String>,
-    /// Images by their stem.
+    /// Indices of the images with each stem.
     stems: HashMap<String, Vec<usize>>,
 }
 
-/// The images that a name means.
+/// The image that a name means.
 #[derive(Debug, PartialEq)]
 pub(crate) enum Match {
     One(usize),
@@ -89,7 +89,7 @@ impl Index {
         Self { keys, stems }
     }
 
-    /// The image with the path `written`. Otherwise the only image whose path ends with `written`, or whose path `written` ends with.
+    /// Finds the image with the path `written`. Otherwise, finds the only image whose path ends with `written` or is the end of `written`.
     pub(crate) fn find(&self, written: &str) -> Match {
         let written = key(written);
         let near = self.stems.get(&stem(&written)).map_or(&[][..], Vec::as_slice);

@@ -1,13 +1,14 @@
 //! Tables of numbers in NumPy's file format (`numpy.lib.format`, versions 1 to 3): f4 and f8, little- and big-endian,
-//! by rows or by columns.
+//! in row-major or column-major order.
 
 use trimip_core::{Error, Result};
 
-/// The rows of a table of N numbers each. `name` names the file, and `advice` says what to do with one that is not valid.
-/// Nothing is allocated before the file is known to be as long as its header states.
+/// Reads the rows of a table, of N numbers each. `name` names the file in errors, and `advice` says what to do about an
+/// invalid one. Memory is allocated only after the file proves to be as long as its header states.
 ///
 /// # Errors
-/// Of kind `Input`: another format, kind of numbers or shape; a file of another length; numbers that are not finite.
+/// Of kind `Input`: an unexpected format, number type or shape; a length of the file that differs from its header;
+/// numbers that are not finite.
 pub(crate) fn rows<const N: usize>(name: &str, bytes: &[u8], advice: &str) -> Result<Vec<[f64; N]>> {
     let wrong = |what: String| Error::input(name, what, advice);
     let header = Header::of(name, bytes, advice)?;
@@ -37,17 +38,17 @@ pub(crate) struct Table {
 }
 
 impl Table {
-    /// Reads the table in the bytes of a file, whose shape may have a third side of 1.
+    /// Reads a table from the bytes of a file. Its shape may have a third dimension, of 1.
     ///
     /// # Errors
-    /// Of kind `Input`: another format, kind of numbers or shape; a file of another length.
+    /// Of kind `Input`: an unexpected format, number type or shape; a length of the file that differs from its header.
     pub(crate) fn new(name: &str, bytes: Vec<u8>, advice: &str) -> Result<Self> {
         let header = Header::of(name, &bytes, advice)?;
         header.expect_whole(name, &bytes, advice)?;
         Ok(Self { header, bytes })
     }
 
-    /// Rows and columns that the first bytes of a file state, [`HEAD`] of them or more.
+    /// Reads the numbers of rows and columns from the first bytes of a file, at least [`HEAD`] of them.
     ///
     /// # Errors
     /// As [`new`](Self::new).
@@ -56,16 +57,16 @@ impl Table {
         Ok([rows, columns])
     }
 
-    /// The number in a row and a column that the table has.
+    /// Returns the number in a row and a column, which must lie within the table.
     pub(crate) fn number(&self, row: usize, column: usize) -> f64 {
         self.header.number(&self.bytes, row, column)
     }
 }
 
-/// Bytes from the start of a file that hold its header.
+/// Number of bytes at the start of a file that hold its header.
 pub(crate) const HEAD: u64 = 1 << 17;
 
-/// A number of four or eight bytes, the highest first if it is `big`.
+/// Decodes a number of four or eight bytes: big-endian if `big`, otherwise little-endian.
 fn number(bytes: &[u8], big: bool) -> f64 {
     let mut own = [0; 8];
     for (index, byte) in bytes.iter().enumerate() {
@@ -80,17 +81,17 @@ fn number(bytes: &[u8], big: bool) -> f64 {
 /// The header of a table.
 #[derive(Debug)]
 struct Header {
-    /// Whether the highest byte of a number comes first.
+    /// True if the numbers are big-endian.
     big: bool,
     /// Bytes of a number.
     size: usize,
-    /// Whether columns follow each other instead of rows.
+    /// True for column-major order.
     by_columns: bool,
     rows: usize,
     columns: usize,
-    /// Whether the shape has a third side, of 1.
+    /// True if the shape has a third dimension, of 1.
     planes: bool,
-    /// Where the numbers begin.
+    /// Offset of the numbers in the file, bytes.
     start: usize,
 }
 
@@ -100,7 +101,7 @@ impl Header {
         Self::parse(bytes).map_err(wrong)
     }
 
-    /// Refuses a file of another length than its header states.
+    /// Refuses a file whose length differs from the one that its header states.
     fn expect_whole(&self, name: &str, bytes: &[u8], advice: &str) -> Result<()> {
         let Self { size, rows, columns, start, .. } = *self;
         let follow = bytes.len() - start;
@@ -112,13 +113,13 @@ impl Header {
         Err(Error::input(name, what, advice))
     }
 
-    /// The number in a row and a column of a whole file.
+    /// Returns the number in a row and a column of a complete file.
     fn number(&self, bytes: &[u8], row: usize, column: usize) -> f64 {
         let index = if self.by_columns { column * self.rows + row } else { row * self.columns + column };
         number(&bytes[self.start + index * self.size..][..self.size], self.big)
     }
 
-    /// The error says what is wrong.
+    /// Parses the header. The error describes what is wrong.
     fn parse(bytes: &[u8]) -> std::result::Result<Self, String> {
         let rest = bytes.strip_prefix(b"\x93NUMPY").ok_or("its first bytes are wrong")?;
         let (&[major, _], rest) = rest.split_first_chunk().ok_or("it ends early")?;
@@ -180,7 +181,7 @@ impl Header {
 mod tests {
     use super::*;
 
-    /// A file of that header with the numbers 0, 1, .. of a kind.
+    /// Returns a file with this header and these numbers.
     fn file(version: u8, header: &str, numbers: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
         let length = match version {
             1 => (header.len() as u16).to_le_bytes().to_vec(),

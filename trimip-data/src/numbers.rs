@@ -3,18 +3,18 @@
 use std::path::Path;
 use trimip_core::{Error, Place, Result, text};
 
-/// The lines of numbers of a file, without empty lines. `advice` says what to do if it cannot be read.
+/// Reads the lines of numbers of a file, without empty lines. `advice` says what to do if the file cannot be read.
 ///
 /// # Errors
-/// Of kind `Input`, with the line: a word is no finite number.
+/// Of kind `Input`, with the line, if a word is not a finite number.
 pub(crate) fn lines(path: &Path, advice: &str) -> Result<Vec<Vec<f64>>> {
     of_text(path, &text::read(path, advice)?, advice)
 }
 
-/// As [`lines`], of the bytes of a file.
+/// Parses the bytes of a file as [`lines`] does.
 ///
 /// # Errors
-/// As [`lines`], and where the bytes are not UTF-8.
+/// As [`lines`], and if the bytes are not UTF-8.
 pub(crate) fn parse(path: &Path, bytes: &[u8], advice: &str) -> Result<Vec<Vec<f64>>> {
     of_text(path, &text::of_bytes(path, bytes)?, advice)
 }
@@ -29,7 +29,7 @@ fn of_text(path: &Path, text: &str, advice: &str) -> Result<Vec<Vec<f64>>> {
     text.lines().enumerate().filter(|(_, line)| !line.trim_ascii().is_empty()).map(line).collect()
 }
 
-/// A finite number. The error says what is wrong.
+/// Parses a finite number. The error describes what is wrong.
 pub(crate) fn number(word: &str) -> std::result::Result<f64, String> {
     let value = word.parse().ok().filter(|value: &f64| value.is_finite());
     value.ok_or_else(|| format!("\"{}\" is not a finite number", word.chars().take(40).collect::<String>()))

@@ -1,5 +1,5 @@
-//! EXIF orientation: whether the camera of a photograph is for its pixels as stored, or as turned by its tag. The
-//! stated size decides; where it cannot, pixels are used as stored, as in COLMAP, nerfstudio and Instant-NGP.
+//! EXIF orientation: decides whether the camera of a photograph belongs to the pixels as stored, or to the pixels after the
+//! rotation of the tag. The stated size decides; if it cannot, pixels are used as stored, as in COLMAP, nerfstudio and Instant-NGP.
 
 use image::metadata::Orientation;
 
@@ -14,7 +14,7 @@ pub(crate) enum Turn {
     Applied(Orientation),
 }
 
-/// Decides for a photograph of `stored` pixels with a tag; `width` and `height` are the stated size, as far as it is stated.
+/// Decides for a photograph of `stored` pixels with a tag. `width` and `height` are the stated size; `None` if a side is not stated.
 pub(crate) fn decide(stored: (u32, u32), tag: Orientation, width: Option<u32>, height: Option<u32>) -> Turn {
     let fits =
         |(w, h): (u32, u32)| width.is_none_or(|width| width == w) && height.is_none_or(|height| height == h);
@@ -25,7 +25,7 @@ pub(crate) fn decide(stored: (u32, u32), tag: Orientation, width: Option<u32>, h
     }
 }
 
-/// Size of a photograph after it is turned.
+/// Returns the size of a photograph after it is turned.
 pub(crate) fn turned((width, height): (u32, u32), tag: Orientation) -> (u32, u32) {
     use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
     match tag {

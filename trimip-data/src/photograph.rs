@@ -1,5 +1,5 @@
-//! Image files: size from the header, pixels as 8-bit RGBA. 16 bits are rounded to the nearest 8, grey is replicated,
-//! palettes are looked up, missing alpha is 1. Floating-point pixels are refused, since no file states their range.
+//! Image files: size from the header, pixels as 8-bit RGBA. 16-bit values are rounded to 8 bits, grey is copied to all three
+//! colours, palettes are looked up, and missing alpha is 1. Floating-point pixels are refused, since no file states their range.
 
 use crate::{
     foreign,
@@ -25,7 +25,7 @@ const BYTES_OF_A_PIXEL: u64 = 9;
 /// Bytes of a pixel while it is decoded: four channels of 16 bits.
 const MOST_BYTES_OF_A_PIXEL: u64 = 8;
 
-/// Memory that a TIFF file may take in addition to its pixels, for tiles larger than the image, bytes.
+/// Memory that decoding a TIFF file may take in addition to its pixels, for tiles larger than the image, bytes.
 const BESIDE: u64 = 16 << 20;
 
 /// An image file and its header.
@@ -55,7 +55,7 @@ impl Photograph {
         }
     }
 
-    /// Reads the header of the image `source`, which `path` names.
+    /// Reads the header of the image `source`; `path` is its name.
     fn header(path: PathBuf, place: Place, source: impl BufRead + Seek) -> Result<Self> {
         let reader = reader(source).map_err(|error| undecodable(&place, &path, &error))?;
         let format = reader.format();
@@ -82,12 +82,12 @@ impl Photograph {
         Ok(Self { path, place, width, height, tag, turn, color, lossy })
     }
 
-    /// True if the file has an alpha channel.
+    /// Returns true if the file has an alpha channel.
     pub(crate) fn has_alpha(&self) -> bool {
         self.color.has_alpha()
     }
 
-    /// Applies the EXIF orientation if the photograph has the stated size only when it is turned. A side that is `None` fits any length.
+    /// Applies the EXIF orientation if the photograph has the stated size only after it is turned. A side that is `None` fits any length.
     pub(crate) fn fit(mut self, width: Option<u32>, height: Option<u32>) -> Self {
         self.turn = orientation::decide((self.width, self.height), self.tag, width, height);
         if let Turn::Applied(tag) = self.turn {
@@ -96,7 +96,7 @@ impl Photograph {
         self
     }
 
-    /// Memory that decoding and averaging take, bytes.
+    /// Returns the memory that decoding and averaging take, bytes.
     pub(crate) fn bytes_to_decode(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height) * BYTES_OF_A_PIXEL
     }
@@ -157,14 +157,14 @@ impl Photograph {
     }
 }
 
-/// The image in the bytes of a file that `path` names.
+/// Decodes the image in the bytes of a file; `path` is its name.
 pub(crate) fn of_bytes(path: &Path, bytes: &[u8]) -> Result<DynamicImage> {
     Photograph::header(path.into(), path.into(), Cursor::new(bytes))?.decoded(bytes)
 }
 
-/// True for a truncated JPEG. Segments are skipped by their length; within coded data a byte
-/// FF is followed by 00 or a restart marker, otherwise it starts the next segment (ITU T.81, B.1.1). Data behind the end of the
-/// image, such as the video of a motion photo, is ignored.
+/// Returns true for a truncated JPEG. The search skips segments by their length; within coded data a byte FF is
+/// followed by 00 or a restart marker, otherwise it starts the next segment (ITU T.81, B.1.1). Data after the end of
+/// the image, such as the video of a motion photo, are ignored.
 fn is_truncated_jpeg(bytes: &[u8]) -> bool {
     let Some(mut rest) = bytes.strip_prefix(&[0xff, 0xd8]) else { return false };
     let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0x00 | 0x01 | 0xff | 0xd0..=0xd8);
@@ -280,7 +280,7 @@ mod tests {
         }
     }
 
-    /// As in a motion photo, whose video follows the image.
+    /// Checks that data after the end of the image are ignored, such as the video of a motion photo.
     #[test]
     fn what_follows_the_end_of_the_image_is_not_looked_at() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
 //! Finds the photographs of a scene. The path in an entry is often that of another machine, has another ending (`.jpg`
-//! for `.JPG`), or names a folder of which only a reduced copy exists (`images` for `images_4`).
+//! for `.JPG`), or names a folder that exists only as a reduced copy (`images` for `images_4`).
 
 use crate::{foreign, names};
 use std::{
@@ -9,14 +9,14 @@ use std::{
 };
 use trimip_core::{Error, Place, Result, plural::count};
 
-/// Most levels below the scene's folder that are searched for photographs, and most files.
+/// Number of levels below the scene's folder that are searched for photographs, and most files.
 const MOST_DEPTH: usize = 5;
 const MOST_FILES: usize = 200_000;
 
 /// Beginnings of the names of folders whose pictures are no photographs.
 const OTHERS: [&str; 7] = ["mask", "depth", "normal", "semantic", "segment", "confidence", "."];
 
-/// Names of folders of splits: a photograph of one split never replaces one of another.
+/// Names of folders of splits: a photograph of one split never replaces a photograph of another.
 const SPLITS: [&str; 5] = ["train", "val", "valid", "test", "eval"];
 
 /// The usual folders of photographs.
@@ -24,18 +24,18 @@ const USUAL: [&str; 7] = ["images", "image", "rgb", "input", "frames", "photos",
 
 /// The photographs of a scene.
 pub(crate) struct Pictures {
-    /// The folder from which entries name them.
+    /// The folder to which the paths of entries are relative.
     folder: PathBuf,
     /// The folder that is searched for photographs that `folder` does not have.
     root: PathBuf,
-    /// All pictures below `root`, listed when the first photograph is not where its entry says.
+    /// All pictures below `root`, listed as soon as a photograph is not where its entry says.
     listed: OnceLock<List>,
 }
 
 /// The pictures below a folder.
 #[derive(Default)]
 struct List {
-    /// By their stems in lower case, each list sorted.
+    /// Pictures by their stems in lower case, each list sorted.
     by_stem: HashMap<String, Vec<Picture>>,
     /// Names of the folders that hold them, in lower case.
     folders: HashSet<String>,
@@ -44,7 +44,7 @@ struct List {
 /// A picture below the folder.
 struct Picture {
     path: PathBuf,
-    /// Names of its folders below the scene's, in lower case.
+    /// Names of the folders between the scene's folder and the picture, in lower case.
     folders: Vec<String>,
 }
 
@@ -57,23 +57,23 @@ pub(crate) struct Location {
 }
 
 impl Pictures {
-    /// The pictures below a folder; the paths of entries are relative to it.
+    /// Searches the pictures below a folder, to which the paths of entries are relative.
     pub(crate) fn new(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
         Self { folder: root.clone(), root, listed: OnceLock::new() }
     }
 
-    /// The pictures below `root`; the paths of entries are relative to `folder`.
+    /// Searches the pictures below `root`; the paths of entries are relative to `folder`.
     pub(crate) fn named_from(folder: &Path, root: &Path) -> Self {
         Self { folder: folder.into(), ..Self::new(root) }
     }
 
     /// Finds the photograph that an entry names: as written, with one of the usual endings added, or with forward
-    /// slashes. Otherwise returns the only picture that may be meant: its name differs only in the ending and the case
-    /// of letters, and its folder has the same name, or another name if neither folder is one of a split.
+    /// slashes. Otherwise returns the only picture that the entry may mean: its name differs only in the ending and the
+    /// case of letters, and its folder has the same name, or another name if neither folder is that of a split.
     ///
     /// # Errors
-    /// Of kind `Input`, at `place`: no such photograph, several of them, or one in a format that is not read.
+    /// Of kind `Input`, at `place`: the photograph does not exist, several pictures may be meant, or its format is not read.
     pub(crate) fn find(&self, named: &str, place: &Place) -> Result<Location> {
         let turned = named.replace('\\', "/");
         let written = if turned == named { vec![named] } else { vec![named, &turned] };
@@ -103,7 +103,7 @@ impl Pictures {
         }
     }
 
-    /// The pictures that may be meant by a path with forward slashes at which there is no file.
+    /// Returns the pictures that an entry may mean if there is no file at its path `named`, which has forward slashes.
     fn elsewhere(&self, named: &str) -> Vec<&Path> {
         let mut parts: Vec<String> = named
             .split('/')
@@ -113,7 +113,7 @@ impl Pictures {
         let Some(file) = parts.pop() else { return Vec::new() };
         let listed = self.listed.get_or_init(|| list(&self.root));
         let Some(alike) = listed.by_stem.get(&names::key(&file)) else { return Vec::new() };
-        // Number of folders before its name that agree.
+        // Number of folders that agree, counted back from the name.
         let agreeing = |picture: &Picture| {
             parts.iter().rev().zip(picture.folders.iter().rev()).take_while(|(a, b)| a == b).count()
         };
@@ -121,7 +121,7 @@ impl Pictures {
         let mut meant: Vec<&Picture> = alike.iter().filter(|picture| agreeing(picture) == most).collect();
         if most == 0 {
             let folder = parts.last().map_or("", String::as_str);
-            // The named folder has pictures, and this one is not among them.
+            // The named folder holds pictures, but not this one.
             if listed.folders.contains(folder) {
                 return Vec::new();
             }
@@ -144,7 +144,7 @@ impl Pictures {
         }
         let depth = meant.iter().map(|picture| picture.folders.len()).min();
         meant.retain(|picture| Some(picture.folders.len()) == depth);
-        // Files of one folder that differ only in their endings are one picture.
+        // Files in one folder that differ only in their endings count as one picture.
         let folder = |picture: &Picture| picture.path.parent().map(Path::to_path_buf);
         let first = meant.first().map(|picture| folder(picture));
         if meant.iter().all(|picture| Some(folder(picture)) == first) {
@@ -158,7 +158,7 @@ impl Pictures {
     }
 }
 
-/// The folder to which the paths of entries are relative: the scene, or `images` within it if that is stated.
+/// Returns the folder to which the paths of entries are relative: the scene, or `images` within it if that is stated.
 ///
 /// # Errors
 /// Of kind `Input`: the stated path is not a folder.
@@ -174,7 +174,7 @@ pub(crate) fn stated(root: &Path, images: &str) -> Result<PathBuf> {
     Err(Error::input("data.images", what, "name the folder of the photographs relative to data.root"))
 }
 
-/// All pictures below a folder.
+/// Lists all pictures below a folder.
 fn list(root: &Path) -> List {
     let mut listed = List::default();
     let (mut folders, mut looked_at) = (vec![(root.to_path_buf(), Vec::new())], 0);
@@ -200,7 +200,7 @@ fn list(root: &Path) -> List {
     listed
 }
 
-/// The error for a photograph that is not found.
+/// Returns the error for a photograph that is not found.
 fn missing(named: &str, candidates: &[PathBuf], place: &Place) -> Error {
     if let Some((path, format)) = candidates.iter().find_map(|path| foreign::beside(path)) {
         let what = format!(
@@ -221,7 +221,7 @@ fn missing(named: &str, candidates: &[PathBuf], place: &Place) -> Error {
 }
 
 /// Finds the photographs of all entries, in their order; an entry has the name of a photograph and a place for
-/// messages. A photograph that is not where its entry says must not be that of another entry.
+/// messages. A photograph that is not where its entry says must not belong to another entry.
 fn resolved<'a>(
     pictures: &Pictures,
     entries: impl Iterator<Item = (&'a str, Place)>,
@@ -252,7 +252,7 @@ fn resolved<'a>(
     entries.into_iter().zip(found).map(alone).collect()
 }
 
-/// A warning about photographs that are not where the entries of `file` say.
+/// Returns a warning about photographs that are not where the entries of `file` say.
 fn moved(file: &Path, resolved: &[(&str, Result<Location>)]) -> Option<String> {
     let is_moved = |(named, found): &'_ (&str, Result<Location>)| {
         let location = found.as_ref().ok().filter(|location| location.moved)?;
@@ -264,10 +264,10 @@ fn moved(file: &Path, resolved: &[(&str, Result<Location>)]) -> Option<String> {
     Some(format!("{}: {} of {all} are not where the file says: {first}", file.display(), moved.len()))
 }
 
-/// Finds the photographs of all entries of `file`, in their order. A warning reports photographs that are not where their entries say.
+/// Finds all photographs of the entries of `file`, in their order. The warning reports photographs that are not where their entries say.
 ///
 /// # Errors
-/// Of kind `Input`, for the first photograph that is not found, with the number of others.
+/// Of kind `Input`, if a photograph is not found. The error names the first one and counts the others.
 pub(crate) fn of_entries<'a>(
     pictures: &Pictures,
     file: &Path,
@@ -287,7 +287,7 @@ pub(crate) fn of_entries<'a>(
 }
 
 /// Finds most photographs of the entries of `file`, in their order: `None` for one that is not found. Warnings report
-/// these, and photographs that are not where their entries say.
+/// missing photographs, and photographs that are not where their entries say.
 ///
 /// # Errors
 /// Of kind `Input`, if more than half are not found.
@@ -327,7 +327,7 @@ mod tests {
     use super::*;
     use std::fs;
 
-    /// The photograph that a name means among files.
+    /// Returns the one of `files` that the name `named` means.
     fn found(files: &[&str], named: &str) -> std::result::Result<String, String> {
         let folder = tempfile::tempdir().unwrap();
         for file in files {

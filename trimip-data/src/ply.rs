@@ -1,11 +1,11 @@
-//! Vertices of a PLY file, ASCII or binary: positions and colours. Elements before them are skipped, those after them are not
-//! read. Nothing is allocated for a count before the rest of the file is known to be long enough for it.
+//! Vertices of a PLY file, ASCII or binary: positions and colours. Elements before the vertices are skipped, and elements
+//! after them are not read. Memory is allocated only after the rest of the file proves to be long enough for a stated count.
 
 use crate::points::Point;
 use std::str::SplitAsciiWhitespace;
 use trimip_core::{Error, Result};
 
-/// A number of a row.
+/// Type of a number in a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Scalar {
     I8,
@@ -33,7 +33,7 @@ impl Scalar {
         })
     }
 
-    /// Bytes in a binary file.
+    /// Returns the number of bytes in a binary file.
     fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -43,7 +43,7 @@ impl Scalar {
         }
     }
 
-    /// The value of its little-endian bytes; bytes beyond its size are 0.
+    /// Returns the value of little-endian bytes, of which only the first are used if the type is shorter.
     fn value(self, bytes: [u8; 8]) -> f64 {
         let [a, b, c, d, ..] = bytes;
         match self {
@@ -59,7 +59,7 @@ impl Scalar {
     }
 }
 
-/// A property of an element: a number, or a count and as many numbers.
+/// A property of an element: a number, or a list, which is a count followed by so many numbers.
 struct Property<'a> {
     name: &'a str,
     count: Option<Scalar>,
@@ -80,7 +80,7 @@ enum Encoding {
 }
 
 impl Element<'_> {
-    /// Fewest bytes of a row. A text row has a digit and a blank or the end of its line for each property.
+    /// Returns the least number of bytes of a row. In a text row, each property takes at least a digit and a blank or line end.
     fn least(&self, encoding: Encoding) -> usize {
         let binary = |property: &Property<'_>| property.count.unwrap_or(property.scalar).size();
         match encoding {
@@ -90,7 +90,7 @@ impl Element<'_> {
     }
 }
 
-/// The vertices of the file `name`; those whose position is not finite are left out.
+/// Reads the vertices of the file `name`; those whose position is not finite are left out.
 ///
 /// # Errors
 /// Of kind `Input`: an incomplete header, and numbers that are missing or malformed. The message names the file, and the line or the byte.
@@ -111,7 +111,7 @@ pub(crate) fn points(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     Err(rest.wrong_file("has no element \"vertex\""))
 }
 
-/// The part of a file that is not read yet.
+/// The unread part of a file.
 struct Rest<'a> {
     name: &'a str,
     bytes: &'a [u8],
@@ -189,7 +189,7 @@ impl<'a> Rest<'a> {
         Err(self.wrong_line("the file ends within its header"))
     }
 
-    /// Refuses more rows than the rest of the file can hold.
+    /// Refuses an element with more rows than the rest of the file can hold.
     fn needs(&self, element: &Element<'_>, encoding: Encoding) -> Result<()> {
         let left = self.left().len();
         // The last line of a text may lack its line break.
@@ -309,7 +309,7 @@ impl<'a> Rest<'a> {
     }
 }
 
-/// A property from the words after `property`.
+/// Parses a property from the words after the keyword `property`.
 fn property<'a>(mut words: SplitAsciiWhitespace<'a>) -> Option<Property<'a>> {
     let first = words.next()?;
     let count = if first == "list" { Some(Scalar::of(words.next()?)?) } else { None };
@@ -317,7 +317,7 @@ fn property<'a>(mut words: SplitAsciiWhitespace<'a>) -> Option<Property<'a>> {
     Some(Property { name: words.next()?, count, scalar })
 }
 
-/// The beginning of a text, for messages.
+/// Returns the beginning of a text, for messages.
 fn shown(text: &str) -> String {
     text.chars().take(40).collect()
 }
@@ -405,7 +405,7 @@ mod tests {
             let error = read(&text).unwrap_err();
             assert!(error.kind() == trimip_core::ErrorKind::Input && error.message().contains(parts), "{parts}: {error}");
         }
-        // Rows without properties have no bytes: nothing counts them one by one.
+        // Rows without properties have no bytes, so the reader must not loop over them.
         let endless = "ply\nformat ascii 1.0\nelement nothing 18446744073709551615\nelement vertex 1\nproperty float x\n\
                        property float y\nproperty float z\nend_header\n1 2 nan\n";
         assert_eq!(read(endless).unwrap(), []);

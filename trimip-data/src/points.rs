@@ -1,5 +1,5 @@
 //! Points of a scene from structure from motion: their positions, reliability and tracks, and the box around them.
-//! World units of the poses; places in photographs in pixels.
+//! Positions are in world units of the poses, places in photographs in pixels.
 
 use glam::DVec3;
 use trimip_core::{Aabb, Camera, plural::count, scene_plan::StatedBox};
@@ -10,17 +10,17 @@ const OUTLIERS: f64 = 0.02;
 const MARGIN: f64 = 0.05;
 /// Fewest points from which a box is made.
 const LEAST_POINTS: usize = 100;
-/// Fewest images of a point that bounds the scene: the two rays of a wrong match may also meet.
+/// Least number of images that saw a point that bounds the scene: the two rays of a wrong match may also meet.
 const LEAST_SEEN: usize = 3;
-/// Largest reprojection error of such a point, pixels.
+/// Largest reprojection error of a point that bounds the scene, pixels.
 const LARGEST_ERROR: f64 = 2.0;
 
 /// A point of the scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// World units.
+    /// Position in world units.
     pub position: [f64; 3],
-    /// Red, green, blue; black if the file states no colour.
+    /// Colour: red, green, blue; black if the file states none.
     pub color: [u8; 3],
     /// Mean reprojection error in pixels of the original photographs, if it is known.
     pub error: Option<f64>,
@@ -30,18 +30,18 @@ pub struct Point {
     pub track: Vec<Observation>,
 }
 
-/// A point as a view saw it.
+/// An observation of a point in a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// Index among the views of the finest scale.
     pub view: u32,
-    /// Place in that view, pixels.
+    /// Position in that view, pixels.
     pub at: [f64; 2],
 }
 
 impl Observation {
-    /// Reprojection error in pixels: the distance between the place at which the view saw the point and the projection
-    /// of `position` by `camera`, the camera of the view. `None` if the camera has no image of `position`.
+    /// Returns the reprojection error in pixels: the distance between the place at which the view saw the point and the
+    /// projection of `position` by `camera`, the camera of the view. `None` if the camera has no image of `position`.
     pub fn error(&self, position: DVec3, camera: &Camera) -> Option<f64> {
         let at = camera.rotation.transpose() * (position - camera.origin);
         let [x, y] = camera.intrinsics.image_of(at)?;
@@ -51,23 +51,23 @@ impl Observation {
 }
 
 impl Point {
-    /// True unless too few images saw the point or its reprojection error is too large.
+    /// Returns true unless too few images saw the point or its reprojection error is too large.
     pub fn is_sure(&self) -> bool {
         self.seen.is_none_or(|seen| seen >= LEAST_SEEN)
             && self.error.is_none_or(|error| error <= LARGEST_ERROR)
     }
 }
 
-/// Points whose tracks name the frames of a file.
+/// Points whose tracks refer to the frames of a file.
 #[derive(Debug, Default)]
 pub(crate) struct Cloud {
     pub(crate) points: Vec<Point>,
-    /// Names of the frames; tracks hold indices of them.
+    /// Names of the frames; tracks hold indices into this list.
     pub(crate) frames: Vec<String>,
 }
 
 impl Cloud {
-    /// The box around the reliable points; `source` says where they come from.
+    /// Returns the box around the reliable points; `source` says where they come from.
     pub(crate) fn stated(&self, source: &str) -> Option<StatedBox> {
         let sure: Vec<[f64; 3]> =
             self.points.iter().filter(|point| point.is_sure()).map(|point| point.position).collect();
@@ -110,7 +110,7 @@ impl Cloud {
     }
 }
 
-/// The box around all points except outliers, with a margin.
+/// Returns the box around all points except outliers, with a margin.
 fn around(points: &[[f64; 3]]) -> Aabb<f64> {
     let range = |axis: usize| {
         let mut values: Vec<f64> = points.iter().map(|point| point[axis]).collect();
@@ -142,7 +142,7 @@ mod tests {
         let found = Cloud { points: points.clone(), frames: Vec::new() }.stated("here").unwrap();
         assert_eq!(found.aabb, sure.aabb);
         assert_eq!(found.source, "around 200 reliable ones of 400 points here");
-        // Without such data every point counts.
+        // If errors and numbers of photographs are unknown, every point counts.
         let plain = points.iter().map(|p| Point { error: None, seen: None, ..p.clone() }).collect();
         assert!(Cloud { points: plain, frames: Vec::new() }.stated("here").unwrap().aabb.max[0] > 100.0);
         points.truncate(99);

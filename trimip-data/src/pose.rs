@@ -7,15 +7,15 @@ use trimip_core::{Error, Place, Result};
 
 /// Largest |R·Rᵀ − I| that counts as a rotation written with few digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Larger deviations are corrected. Smaller ones come from storage in f32 and are kept bit for bit.
+/// Rotations that deviate more are corrected. Smaller deviations come from storage in f32, and these rotations are kept bit for bit.
 const CORRECTED_ABOVE: f64 = 1e-5;
 
-/// Rotation and camera centre under `key`.
+/// Reads the rotation and the camera centre under `key`.
 pub(crate) fn read(node: &Node<'_>, key: &str) -> Result<(DMat3, DVec3)> {
     parse(&node.place, key, node.required(key)?)
 }
 
-/// Rotation and camera centre from the rows of a matrix called `key` at `place`.
+/// Reads the rotation and the camera centre from the rows of a matrix called `key` at `place`.
 pub(crate) fn parse(place: &Place, key: &str, value: &Value) -> Result<(DMat3, DVec3)> {
     let wrong = |what: String| {
         Error::input(place, format!("\"{key}\" {what}"), "export the pose again or remove the entry")
@@ -38,8 +38,8 @@ pub(crate) fn parse(place: &Place, key: &str, value: &Value) -> Result<(DMat3, D
 /// Message about a matrix with a NaN or an infinity.
 const NOT_FINITE: &str = "holds a number that is not finite";
 
-/// Rotation and camera centre from the rows of a matrix. A uniform scale of the axes, as of a scaled camera object, is
-/// divided out: the rays stay the same. The error says what is wrong.
+/// Returns the rotation and the camera centre in the rows of a matrix. A uniform scale of the axes, as of a scaled
+/// camera object, is divided out, because it does not change the rays. The error describes what is wrong.
 pub(crate) fn checked(rows: [[f64; 4]; 3]) -> std::result::Result<(DMat3, DVec3), String> {
     if rows.iter().flatten().any(|entry| !entry.is_finite()) {
         return Err(NOT_FINITE.into());
@@ -65,19 +65,19 @@ pub(crate) fn checked(rows: [[f64; 4]; 3]) -> std::result::Result<(DMat3, DVec3)
     Ok((if deviation > CORRECTED_ABOVE { nearest_rotation(rotation) } else { rotation }, column(3)))
 }
 
-/// The rotation around an axis by its length in radians.
+/// Returns the rotation around `axis` by an angle of its length in radians.
 pub(crate) fn around(axis: DVec3) -> DMat3 {
     let angle = axis.length();
     if angle == 0.0 { DMat3::IDENTITY } else { DMat3::from_axis_angle(axis / angle, angle) }
 }
 
-/// Rows of numbers; `None` if an entry is something else.
+/// Returns the rows of numbers in a value, or `None` if an entry is something else.
 pub(crate) fn matrix(value: &Value) -> Option<Vec<Vec<f64>>> {
     let row = |row: &Value| row.as_array()?.iter().map(Value::as_f64).collect::<Option<Vec<f64>>>();
     value.as_array()?.iter().map(row).collect()
 }
 
-/// Largest entry of |R·Rᵀ − I|.
+/// Returns the largest entry of |R·Rᵀ − I|.
 fn deviation(rotation: DMat3) -> f64 {
     let product = rotation * rotation.transpose() - DMat3::IDENTITY;
     product.to_cols_array().iter().fold(0.0, |largest: f64, entry| {
@@ -86,8 +86,8 @@ fn deviation(rotation: DMat3) -> f64 {
     })
 }
 
-/// Newton's iteration R ← (R + R⁻ᵀ)/2 for the orthogonal factor of a polar decomposition (Higham 1986); squares the
-/// deviation each time.
+/// Returns the nearest rotation: the orthogonal factor of a polar decomposition, by Newton's iteration R ← (R + R⁻ᵀ)/2
+/// (Higham 1986). Each iteration squares the deviation.
 fn nearest_rotation(mut rotation: DMat3) -> DMat3 {
     for _ in 0..4 {
         rotation = (rotation + rotation.transpose().inverse()) * 0.5;

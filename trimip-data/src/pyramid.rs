@@ -4,8 +4,8 @@
 
 use trimip_core::{Alpha, config::Convention};
 
-/// `scales` levels of an image of `width` × `height` pixels, stored as `convention` says: straight RGBA truncated to
-/// 8 bits, or premultiplied RGBA rounded to 8 bits. A level without pixels is empty.
+/// Builds `scales` levels of an image of `width` × `height` pixels, stored as `convention` says: straight RGBA
+/// truncated to 8 bits, or premultiplied RGBA rounded to 8 bits. A level without pixels is empty.
 pub fn build(
     base: &[[u8; 4]],
     width: usize,
@@ -24,8 +24,8 @@ pub fn build(
     levels
 }
 
-/// As [`build`], for any kind of alpha and into given slices; `levels[j]` holds (width >> j)·(height >> j) pixels, or
-/// none if it is not wanted. Colours of [`Alpha::Kept`] are rounded, and black where nothing is kept.
+/// Builds levels as [`build`] does, for any kind of alpha and into given slices. `levels[j]` holds (width >> j)·(height >>
+/// j) pixels, or none if the level is not wanted. For [`Alpha::Kept`], colours are rounded, and black where nothing is kept.
 pub(crate) fn fill(
     base: &[[u8; 4]],
     width: usize,
@@ -56,7 +56,7 @@ pub(crate) fn fill(
     }
 }
 
-/// 2×2 means, added in reading order: another order rounds differently from the public converter.
+/// Returns 2×2 means, added in reading order: another order rounds differently from the public converter.
 fn halve<P>(pixels: &[P], width: usize, height: usize, value: impl Fn(&P) -> [f32; 4]) -> Vec<[f32; 4]> {
     let mut means = Vec::with_capacity((width / 2) * (height / 2));
     for y in 0..height / 2 {
@@ -119,7 +119,7 @@ mod tests {
     fn what_is_not_kept_has_no_part_in_any_level() {
         let kept = |i: usize| [200, 10 * i as u8, 0, 255];
         let levels = |garbage: [u8; 4]| {
-            // The first row of blocks: one pixel kept, then none; below them all four, then two.
+            // Blocks of 2×2 pixels: one and none of the pixels are kept in the upper two blocks, four and two in the lower ones.
             let base: Vec<[u8; 4]> = (0..16)
                 .map(|i| if [0, 8, 9, 12, 13, 10, 15].contains(&i) { kept(i) } else { garbage })
                 .collect();
@@ -129,7 +129,7 @@ mod tests {
         };
         let found = levels([0; 4]);
         assert_eq!(found[1], [[200, 0, 0, 64], [0; 4], [200, 105, 0, 255], [200, 125, 0, 128]]);
-        // 670/7 = 95.7 of the seven kept pixels, which are 7/16 of all.
+        // The seven kept pixels have a mean green of 670/7 = 95.7, and they are 7/16 of all pixels.
         assert_eq!(found[2], [[200, 96, 0, 112]]);
         for garbage in [[255, 255, 255, 0], [1, 2, 3, 0]] {
             assert_eq!(levels(garbage), found);
@@ -147,8 +147,7 @@ mod tests {
 
     #[test]
     fn rounding_happens_once_however_many_levels_lie_between() {
-        // One pixel of 4·16 at 128 in black: its mean over 16 pixels is 8; rounding half way would give 128/4 = 32, 8.
-        // One of 2: 2/16 = 0.125 → 0, though 2/4 = 0.5 would round to 1 and stay visible.
+        // All pixels but one are black: the means are 128/16 = 8, 2/16 = 0.125 → 0 and 255/16 = 15.9 → 16.
         let mut base = [[0, 0, 0, 255]; 16];
         base[5] = [128, 2, 255, 255];
         let levels = build(&base, 4, 4, 3, Convention::Premultiplied);
@@ -171,8 +170,8 @@ mod tests {
     }
 
     proptest! {
-        /// The purpose of the premultiplied pyramid: on any background every level has the mean of the composited
-        /// image, up to its 8 bits.
+        /// Checks the purpose of the premultiplied pyramid: on any background, every level has the mean of the
+        /// composited image, up to the rounding to 8 bits.
         #[test]
         fn premultiplied_levels_keep_the_composited_mean(
             base in prop::collection::vec(any::<[u8; 4]>(), 64),
@@ -186,7 +185,7 @@ mod tests {
                 let mean = level.iter().map(|&[r, _, _, a]| {
                     f32::from(r) / 255.0 + (1.0 - f32::from(a) / 255.0) * background
                 }).sum::<f32>() / level.len() as f32;
-                // Half a step of 1/255 for the colour and as much for alpha.
+                // Half a step of 1/255 each for colour and alpha.
                 prop_assert!((mean - exact).abs() < 1.01 / 255.0);
             }
         }

@@ -22,7 +22,7 @@ pub struct Scene {
     pub train: ViewSet,
     /// Test frames, each a set with one view per scale, decoded or rendered on request.
     pub test: Box<dyn Frames>,
-    /// Name and camera at full size of each test frame.
+    /// Name of each test frame, and its camera at full size.
     pub test_views: Vec<(String, Camera)>,
     /// The bounding box that the data state.
     pub stated: Option<StatedBox>,
@@ -30,7 +30,7 @@ pub struct Scene {
     pub points: Vec<Point>,
     /// Origin of the coordinates of cameras, box and points, in the coordinates of the files (`data.origin`).
     pub origin: LocalOrigin,
-    /// Where the archive of the scene was unpacked, in words; a line of the description.
+    /// Note about where the archive of the scene was unpacked; a line of the description.
     pub unpacked: Option<String>,
     /// Warnings about the data, to be shown with every result.
     pub warnings: Vec<String>,
@@ -46,7 +46,7 @@ pub struct TestSet {
     pub frames: Box<dyn Frames>,
     /// Cameras of the training views at their finest scale.
     pub train: Vec<Camera>,
-    /// Training frames, as `frames`.
+    /// Training frames, in the form of `frames`.
     pub photographs: Box<dyn Frames>,
     /// Warnings about the data, to be shown with every result.
     pub warnings: Vec<String>,
@@ -59,7 +59,7 @@ impl std::fmt::Debug for Scene {
 }
 
 /// Opens the scene that the settings name: reads every camera and image header, decodes the training images. Without
-/// `data.origin`, a scene far from the origin of its files gets [an origin](LocalOrigin::chosen) among its cameras.
+/// `data.origin`, a scene far from the origin of its files gets [a local origin](LocalOrigin::chosen) among its cameras.
 ///
 /// # Errors
 /// Of kind `Input`, one line each: what is wrong, in which file and frame, and what to do.
@@ -67,7 +67,7 @@ pub fn open(config: &DataConfig) -> Result<Scene> {
     open_watched(config, &unwatched)
 }
 
-/// As [`open`]; progress of reading the training views goes to `watch`.
+/// Opens a scene as [`open`] does, and reports the progress of reading the training views to `watch`.
 ///
 /// # Errors
 /// As [`open`].
@@ -92,7 +92,7 @@ pub(crate) fn surveyed(config: &DataConfig, watch: Watch<'_>) -> Result<(Survey,
 
 /// Opens the test frames of the scene that the settings name. Reads every camera and image header as [`open`] does, but
 /// decodes no training image, which saves time and memory. Without `data.origin`, the coordinates are those of the
-/// files, as for a model that was trained near the origin.
+/// files: right for a model that was trained without a local origin.
 ///
 /// # Errors
 /// As [`open`]; of kind `Input` if there is no test frame.
@@ -109,12 +109,12 @@ pub fn open_test(config: &DataConfig) -> Result<TestSet> {
     Ok(TestSet { name, frames: frames(test, alpha), train: cameras, photographs, warnings })
 }
 
-/// Frames that are decoded or rendered on request.
+/// Returns frames that are decoded or rendered on request.
 fn frames(sources: Vec<Source>, alpha: Alpha) -> Box<dyn Frames> {
     Box::new(FrameList { sources, alpha })
 }
 
-/// The scene with its training views.
+/// Returns the scene with its training views.
 pub(crate) fn opened(survey: Survey, config: &DataConfig, train: ViewSet) -> Scene {
     let description = describe::description(&survey, config, &train);
     let of_masks = masks::warnings(&survey.train, &train);

@@ -1,8 +1,8 @@
-//! The frames in one sector of the cameras (`data.holdout_by = "sector"`): test views with no training view between them.
+//! Chooses the frames in one sector of the cameras (`data.holdout_by = "sector"`): test views with no training view between them.
 
 use trimip_core::{Camera, scene_plan};
 
-/// Cameras nearer to each other than this share of their distance to the origin count as one place.
+/// Cameras are at one place if their distances to each other are at most this share of their distance to the origin.
 const ONE_PLACE: f64 = 1e-9;
 
 /// A group of neighbouring cameras.
@@ -17,11 +17,11 @@ pub(crate) struct Sector {
 /// How far a camera is from the first one.
 #[derive(Clone, Copy)]
 enum Apart {
-    /// By the angle between them, radians, as seen from the point that the cameras look at.
+    /// Angle between the two cameras, seen from the point that the cameras look at, radians.
     Seen(f64),
-    /// By the angle between their viewing directions, radians: they are at one place.
+    /// Angle between their viewing directions, radians, if all cameras are at one place.
     Turned(f64),
-    /// By their distance, world units: they look along one direction.
+    /// Their distance, world units, if all cameras look along one direction.
     Moved(f64),
 }
 
@@ -48,9 +48,9 @@ impl Apart {
     }
 }
 
-/// The first of `cameras` and those nearest to it, `count` in all. Nearness is the angle as seen from the point that
-/// all cameras look at, the distance of cameras that look along one direction, or the angle between viewing directions
-/// of cameras at one place. Among equally near cameras, the first in order counts. `None` without a camera.
+/// Returns the first of `cameras` and those nearest to it, `count` in all, or `None` without a camera. Nearness is the
+/// angle as seen from the point that all cameras look at. If they look along one direction, it is their distance; if
+/// they are at one place, the angle between viewing directions. Of equally near cameras, the first in order are taken.
 pub(crate) fn around_first(cameras: &[Camera], count: usize) -> Option<Sector> {
     let first = cameras.first()?;
     let near = ONE_PLACE * first.origin.length().max(f64::MIN_POSITIVE);
@@ -65,7 +65,7 @@ pub(crate) fn around_first(cameras: &[Camera], count: usize) -> Option<Sector> {
         None => Apart::Moved(camera.origin.distance(first.origin)),
     };
     let mut ordered: Vec<(Apart, usize)> = cameras.iter().map(apart).zip(0..).collect();
-    // The angle of a camera exactly at the point is not a number, and counts as the largest.
+    // The angle of a camera exactly at the point is NaN, which counts as the largest.
     ordered.sort_by(|a, b| a.0.value().total_cmp(&b.0.value()));
     ordered.truncate(count);
     let extent = ordered.last()?.0.words();
@@ -84,7 +84,7 @@ mod tests {
         Camera::look_at(Intrinsics::from_angle(64, 64, 0.7), from, to, DVec3::Z)
     }
 
-    /// A camera every 15° on a ring around `centre`, in an order of steps of 105°.
+    /// Returns a camera every 15° on a ring around `centre`; successive cameras are 105° apart.
     fn ring(centre: DVec3, radius: f64) -> Vec<Camera> {
         let at = |i: i32| f64::from(7 * i * 15).to_radians();
         let place = |i: i32| centre + radius * DVec3::new(at(i).cos(), at(i).sin(), 0.4);
@@ -95,7 +95,7 @@ mod tests {
     fn a_sector_of_a_ring_is_the_arc_around_the_first_camera() {
         for (centre, radius) in [(DVec3::ZERO, 4.0), (DVec3::new(4.5e5, -5.4e6, 300.0), 2.0)] {
             let cameras = ring(centre, radius);
-            // 7 · 7 = 49 = 2 · 24 + 1: the camera at k · 15° is number 7k modulo 24.
+            // 7 · 7 = 49 = 2 · 24 + 1, so 7 is its own inverse modulo 24, and the camera at k · 15° is number 7k modulo 24.
             let numbers = |steps: &[i32]| -> Vec<usize> {
                 let mut all: Vec<usize> = steps.iter().map(|k| (7 * k).rem_euclid(24) as usize).collect();
                 all.sort_unstable();
@@ -104,7 +104,7 @@ mod tests {
             for (count, steps) in [(1, &[0][..]), (3, &[-1, 0, 1]), (5, &[-2, -1, 0, 1, 2])] {
                 let found = around_first(&cameras, count).unwrap();
                 assert_eq!(found.frames, numbers(steps), "{count} around {centre}");
-                // The directions of neighbours differ by less than their azimuths: all point up by atan(0.4).
+                // The directions of neighbours differ by less than their azimuths, because all rise by atan(0.4).
                 let half = f64::from((count as i32 - 1) / 2 * 15).to_radians() * 0.5;
                 let angle = 2.0 * (half.sin() / 1.16_f64.sqrt()).asin().to_degrees();
                 assert!(found.extent.starts_with(&format!("{angle:.0}° of")), "{} of {angle}", found.extent);
@@ -117,7 +117,7 @@ mod tests {
         let place = |i: i32| DVec3::new(f64::from(i * 3 % 10), 0.0, 0.0);
         let cameras: Vec<Camera> = (0..10).map(|i| look(place(i), place(i) + DVec3::Y)).collect();
         let found = around_first(&cameras, 3).unwrap();
-        // They are at 0, 3, 6, 9, 2, 5, 8, 1, 4, 7.
+        // The cameras are at 0, 3, 6, 9, 2, 5, 8, 1, 4, 7.
         assert_eq!(
             (found.frames, found.extent.as_str()),
             (vec![0, 4, 7], "2.0000 world units of the first camera")
@@ -141,7 +141,7 @@ mod tests {
         };
         let cameras: Vec<Camera> = (0..12).map(turned).collect();
         let found = around_first(&cameras, 3).unwrap();
-        // They look at 0, 7, 2, 9, 4, 11, 6, 1, .. times 30°.
+        // The cameras look at 0, 7, 2, 9, 4, 11, 6, 1, .. times 30°.
         assert_eq!(found.frames, [0, 5, 7]);
         assert_eq!(found.extent, "30° of the first camera's viewing direction");
     }

@@ -1,5 +1,5 @@
-//! The settings of this crate: how photographs are found, read and kept, and the built-in scene. Their defaults, ranges
-//! and meanings are the tables in `settings/`. They share the section `[data]` with those of core.
+//! The settings of this crate: how photographs are found, read and stored, and the built-in scene. The tables in
+//! `settings/` hold their defaults, ranges and meanings. They share the section `[data]` with settings of trimip-core.
 
 use serde::{Deserialize, Serialize};
 use trimip_core::config::Convention;
@@ -50,7 +50,7 @@ pub struct DataConfig {
 }
 
 impl Default for DataConfig {
-    /// The values of the tables.
+    /// Returns the values of the tables.
     fn default() -> Self {
         let section = trimip_core::Config::default().section();
         section.unwrap_or_else(|error| unreachable!("the tables are tested: {error}"))
@@ -58,7 +58,7 @@ impl Default for DataConfig {
 }
 
 impl DataConfig {
-    /// The frames that a model is tested on, in words.
+    /// Describes the frames that a model is tested on.
     pub fn tested_on(&self) -> String {
         let train = self.train.join(" + ");
         match (self.holdout, self.holdout_by) {
@@ -79,7 +79,7 @@ impl DataConfig {
 pub enum HoldoutBy {
     /// Every n-th frame.
     Stride,
-    /// As many frames, those of the cameras nearest to the first one.
+    /// The same number of frames, but those of the cameras nearest to the first one.
     Sector,
 }
 
@@ -101,9 +101,9 @@ pub enum MaskKeeps {
 pub enum MaskRole {
     /// Empty space for masks of a folder, unknown for `mask_path` and `dynamic_mask_*`.
     Auto,
-    /// They show empty space: the mask is the photograph's alpha.
+    /// Empty space: the mask is the photograph's alpha.
     Object,
-    /// Nothing is known of them: they are neither trained nor evaluated.
+    /// Unknown: the pixels are neither trained nor evaluated.
     Ignore,
 }
 

@@ -13,7 +13,7 @@ use crate::{
 use rayon::prelude::*;
 use trimip_core::{Alpha, Camera, Error, Frames, Place, Result, Scale, View, ViewSet};
 
-/// Memory of the photographs that are decoded at once, bytes, unless a single one takes more.
+/// Most memory for the photographs that are decoded at once, bytes, unless a single one takes more.
 const MOST_AT_ONCE: u64 = 2 << 30;
 
 /// One frame: a camera per scale, and the source of its pixels.
@@ -22,12 +22,12 @@ pub(crate) struct Source {
     pub(crate) name: String,
     /// Level (log2 of the reduction) and camera of each view, fine to coarse.
     pub(crate) views: Vec<(u32, Camera)>,
-    /// How many times the photograph is halved before its first view.
+    /// Number of times that the photograph is halved before its first view.
     pub(crate) halvings: u32,
     pub(crate) pixels: Pixels,
     /// The mask of its photograph, once it is found.
     pub(crate) mask: Option<Mask>,
-    /// The mask that its entry states.
+    /// Path of the mask that its entry states.
     pub(crate) mask_path: Option<String>,
     /// The depth image that is stated for its photograph. The file may be missing.
     pub(crate) depth: Option<DepthFile>,
@@ -42,15 +42,15 @@ pub(crate) enum Pixels {
     Stored(Vec<Photograph>),
     /// The built-in scene, with n × n rays per pixel.
     Rendered {
-        /// n.
+        /// The number n.
         supersampling: u32,
-        /// Its glossy surfaces.
+        /// Selects the glossy surfaces.
         finish: Finish,
     },
 }
 
 impl Source {
-    /// A frame whose views at `scales` levels are averaged from the finest, seen by `camera`.
+    /// Creates a frame whose views at `scales` levels are averaged from the finest one, which `camera` sees.
     pub(crate) fn averaged(
         name: String,
         camera: Camera,
@@ -76,12 +76,12 @@ impl Source {
         Ok(Self { name, views, halvings: 0, pixels, mask: None, mask_path: None, depth: None })
     }
 
-    /// Number of pixels of all its views.
+    /// Returns the number of pixels of all its views.
     pub(crate) fn pixels_in_memory(&self) -> f64 {
         self.views.iter().filter_map(|(_, camera)| area(camera)).map(|area| area as f64).sum()
     }
 
-    /// How many times the frame can be halved without losing a scale; 0 for files of a multi-scale set.
+    /// Returns how many times the frame can be halved without losing a scale; 0 for files of a multi-scale set.
     pub(crate) fn halvings_possible(&self) -> u32 {
         let Some((_, coarsest)) = self.views.last() else { return 0 };
         match self.pixels {
@@ -92,7 +92,7 @@ impl Source {
         }
     }
 
-    /// The same frame with its photograph halved `halvings` times first.
+    /// Returns the frame with its photograph halved `halvings` times before its first view.
     pub(crate) fn shrunk(mut self, halvings: u32) -> Self {
         self.halvings += halvings;
         for (_, camera) in &mut self.views {
@@ -101,19 +101,19 @@ impl Source {
         self
     }
 
-    /// Removes the distortion of its lens.
+    /// Removes the distortion of the lens from its cameras.
     pub(crate) fn straighten(&mut self) {
         for (_, camera) in &mut self.views {
             camera.intrinsics.lens = camera.intrinsics.lens.without_distortion();
         }
     }
 
-    /// Rows of its finest view, the unit of progress.
+    /// Returns the number of rows of its finest view, the unit of progress.
     pub(crate) fn rows(&self) -> u64 {
         self.views.first().map_or(0, |(_, camera)| camera.intrinsics.height.into())
     }
 
-    /// The files of the frame.
+    /// Returns the image files of the frame.
     pub(crate) fn files(&self) -> &[Photograph] {
         match &self.pixels {
             Pixels::Photograph(file) => std::slice::from_ref(file),
@@ -172,17 +172,17 @@ impl Source {
     }
 }
 
-/// Rows of the finest views of `sources`, the total of progress.
+/// Returns the number of rows of the finest views of `sources`, the total of progress.
 pub(crate) fn rows<'a>(sources: impl IntoIterator<Item = &'a Source>) -> u64 {
     sources.into_iter().map(Source::rows).sum()
 }
 
-/// All views of `sources`, sorted by scale, then by frame; `meter` counts their rows.
+/// Assembles all views of `sources`, sorted by scale, then by frame; `meter` counts their rows.
 pub(crate) fn assemble(sources: &[Source], alpha: Alpha, meter: &Meter<'_>) -> Result<ViewSet> {
     assemble_in(PixelStore::Memory, sources, alpha, meter)
 }
 
-/// As [`assemble`], with the pixels in memory or in a file, as `store` says.
+/// Assembles views as [`assemble`] does, with the pixels in memory or in a file, as `store` says.
 pub(crate) fn assemble_in(
     store: PixelStore,
     sources: &[Source],
@@ -233,7 +233,7 @@ pub(crate) fn assemble_in(
     Ok(ViewSet { views, pixels, alpha, scales, depths: Vec::new() })
 }
 
-/// How many of these frames are decoded at once. Very large photographs are decoded few at a time.
+/// Returns how many of these frames are decoded at once. Very large photographs are decoded few at a time.
 fn at_once(sources: &[Source]) -> Result<usize> {
     let files = sources.iter().flat_map(Source::files);
     let Some(largest) = files.max_by_key(|file| file.bytes_to_decode()) else {
@@ -282,7 +282,7 @@ impl Frames for FrameList {
     }
 }
 
-/// Maps in parallel. Of several errors the first in order is returned, independently of the threads.
+/// Maps items in parallel. If several fail, the first error in order is returned, so that it does not depend on the threads.
 pub(crate) fn map_in_order<T: Sync, R: Send>(
     items: &[T],
     map: impl Fn(usize, &T) -> Result<R> + Sync,

@@ -12,6 +12,6 @@ pub(crate) struct Split {
     pub(crate) notes: Vec<String>,
     /// The bounding box that the file states.
     pub(crate) stated: Option<StatedBox>,
-    /// The points that the file states; if a file has several splits, the first that is read gets them.
+    /// The points that the file states. If the file has several splits, the first that is read takes them.
     pub(crate) cloud: Cloud,
 }

@@ -1,5 +1,5 @@
 //! The bounding box that a transforms file states: around points from structure from motion (`ply_file_path`,
-//! nerfstudio), or Instant-NGP's `aabb_scale` with `scale` and `offset`. World units of the file's poses.
+//! nerfstudio), or Instant-NGP's `aabb_scale` with `scale` and `offset`. Lengths are in world units of the file's poses.
 
 use crate::{json::Node, ply, split::Split};
 use std::{fs, path::Path};
@@ -8,8 +8,8 @@ use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
 
-/// The box and the points that `file` in `root` states, as a split without frames; the box around the points takes
-/// precedence. A file of points that cannot be read is left out with a warning.
+/// Reads the box and the points that `file` in `root` states, as a split without frames. A box around the points takes
+/// precedence over Instant-NGP's cube. A file of points that cannot be read is left out with a warning.
 pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Split> {
     let mut facts = Split::default();
     if let Some(named) = file.text("ply_file_path")? {
@@ -31,7 +31,7 @@ pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Split> {
     Ok(facts)
 }
 
-/// The cube of Instant-NGP.
+/// Returns the cube of Instant-NGP.
 pub(crate) fn cube(file: &Node<'_>) -> Result<Option<StatedBox>> {
     let Some(aabb_scale) = file.number("aabb_scale")? else { return Ok(None) };
     let scale = file.number("scale")?.unwrap_or(NGP.0);

@@ -12,7 +12,7 @@ const SHARE: f64 = 0.5;
 /// Bytes that are written at once to reserve the file's space.
 const CHUNK: usize = 1 << 20;
 
-/// True if `store` keeps `pixels` pixels in a file.
+/// Returns true if `store` keeps `pixels` pixels in a file.
 pub(crate) fn is_on_disk(store: PixelStore, pixels: usize) -> bool {
     match store {
         PixelStore::Memory => false,
@@ -58,8 +58,8 @@ pub(crate) fn filled(
     Ok(Pixels::elsewhere(Mapped(map)))
 }
 
-/// Memory of zeros. Training reads single pixels of all photographs at random, so large pages are requested where the
-/// system has them: with small ones most of these reads wait for the page table.
+/// Maps memory of zeros. Training reads single pixels of all photographs at random, so large pages are requested where
+/// the system has them: with small pages most of these reads wait for the page table.
 fn in_memory(pixels: usize) -> std::io::Result<MmapMut> {
     let map = MmapMut::map_anon(pixels.checked_mul(4).ok_or(std::io::ErrorKind::OutOfMemory)?)?;
     // A refusal is harmless: small pages hold the same pixels.

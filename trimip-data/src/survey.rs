@@ -1,4 +1,4 @@
-//! A scene before any photograph is decoded: which frames are trained and tested on, their masks, points and warnings.
+//! A scene before any photograph is decoded: its training and test frames, with their masks, points and warnings.
 
 use crate::{
     division::HOLD_OUT,
@@ -26,12 +26,12 @@ pub(crate) struct Survey {
     pub(crate) name: String,
     /// Description of the layout.
     pub(crate) layout: &'static str,
-    /// Training splits by name.
+    /// Name of each training split, and its number of frames.
     pub(crate) train_splits: Vec<(String, usize)>,
     pub(crate) train: Vec<Source>,
     pub(crate) test: Vec<Source>,
     pub(crate) warnings: Vec<String>,
-    /// Where its archive was unpacked, in words.
+    /// Note about where its archive was unpacked.
     pub(crate) unpacked: Option<String>,
     /// More lines of the description.
     pub(crate) notes: Vec<String>,
@@ -121,18 +121,19 @@ impl Survey {
         Ok(Self { origin, ..self })
     }
 
-    /// Cameras of the training views at their finest scale.
+    /// Returns the cameras of the training views at their finest scale.
     pub(crate) fn cameras(&self) -> Vec<Camera> {
         cameras(&self.train)
     }
 }
 
-/// Cameras of frames at their finest scale.
+/// Returns the cameras of frames at their finest scale.
 fn cameras(frames: &[Source]) -> Vec<Camera> {
     frames.iter().filter_map(|source| source.views.first()).map(|(_, camera)| *camera).collect()
 }
 
-/// Leaves out the frames with lost cameras, which are neither trained nor measured, and returns a warning.
+/// Removes the frames whose cameras are lost, which means far from all others, and returns a warning. These frames are
+/// neither trained nor measured.
 fn leave_out_lost(train: &mut Vec<Source>, test: &mut Vec<Source>) -> Option<String> {
     let lost = lost(&[cameras(train), cameras(test)].concat());
     let trained = train.len();
@@ -177,7 +178,7 @@ impl Facts {
 /// Names and sizes of the training splits, the training frames, and the test frames.
 type Divided = (Vec<(String, usize)>, Vec<Source>, Vec<Source>);
 
-/// The frames as the settings divide them.
+/// Divides the frames as the settings say.
 fn divided(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Divided> {
     if !config.test_list.is_empty() {
         return listed(layout, config, facts);
@@ -202,7 +203,7 @@ fn divided(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Di
     Ok((train_splits, train, test))
 }
 
-/// The frames as `data.test_list` divides them.
+/// Divides the frames as `data.test_list` says.
 fn listed(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Divided> {
     let other = match (config.holdout, config.holdout_by) {
         (0, HoldoutBy::Stride) => None,
@@ -218,7 +219,7 @@ fn listed(layout: &Layout, config: &DataConfig, facts: &mut Facts) -> Result<Div
     Ok((vec![("train".into(), train.len())], train, test))
 }
 
-/// Returns the test frames: those of the test split, or some that it takes out of `train`.
+/// Returns the test frames: those of the test split, or frames that it removes from `train`.
 fn tested(
     layout: &Layout,
     config: &DataConfig,
@@ -265,10 +266,10 @@ fn tested(
     Ok(test.sources)
 }
 
-/// The test split if no other is named.
+/// Name of the test split, unless the settings state another.
 const TEST: &str = "test";
 
-/// The split that some exporters write in its place.
+/// Name of the split that some exporters write instead.
 const VAL: &str = "val";
 
 /// Halves all photographs until those for training fit into `data.most_pixels`.
@@ -296,8 +297,8 @@ fn shrink(
     (shrunk(train), shrunk(test))
 }
 
-/// Takes one frame in `data.holdout` out of `train`, or one in [`HOLD_OUT`] if it is 0. These are every n-th frame,
-/// beginning with the first, or as many frames in one sector of the cameras around the first.
+/// Takes one frame in `data.holdout` out of `train`, or one in [`HOLD_OUT`] if `data.holdout` is 0. These are every
+/// n-th frame, beginning with the first, or equally many frames in one sector of the cameras around the first.
 fn hold_out(train: &mut Vec<Source>, config: &DataConfig, facts: &mut Facts) -> Result<Vec<Source>> {
     let (frames, every) = (train.len(), if config.holdout > 0 { config.holdout as usize } else { HOLD_OUT });
     let chosen: Vec<usize> = match config.holdout_by {
@@ -325,7 +326,7 @@ fn hold_out(train: &mut Vec<Source>, config: &DataConfig, facts: &mut Facts) -> 
     Ok(held)
 }
 
-/// The last part of a path.
+/// Returns the last part of a path.
 fn folder_name(root: &Path) -> String {
     let whole = root.canonicalize().unwrap_or_else(|_| root.to_path_buf());
     whole.file_name().map_or_else(|| root.display().to_string(), |name| name.to_string_lossy().into_owned())

@@ -3,15 +3,15 @@
 
 use std::io::{self, ErrorKind, Read, Seek, SeekFrom};
 
-/// Bytes of a value of each type from 1 on: byte, text, short, long, rational, signed byte, undefined, signed short, signed long, signed
-/// rational, float, double, directory; three of BigTIFF.
+/// Bytes of a value of each type from type 1 on: byte, text, short, long, rational, signed byte, undefined, signed short,
+/// signed long, signed rational, float, double, directory; then two types that do not exist, and three of BigTIFF.
 const SIZES: [u64; 18] = [1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8];
 
 /// Checks that the values of the first directory of a TIFF file end within the file. Files of other formats pass. The
 /// source is rewound afterwards.
 ///
 /// # Errors
-/// Values that end beyond the file, and errors of reading.
+/// Values that end beyond the file, and errors of reading it.
 pub(crate) fn check(source: &mut (impl Read + Seek)) -> io::Result<()> {
     let end = source.seek(SeekFrom::End(0))?;
     source.rewind()?;
@@ -31,7 +31,7 @@ fn directory(source: &mut (impl Read + Seek), end: u64) -> io::Result<()> {
         let add = |sum: u64, byte: &u8| sum << 8 | u64::from(*byte);
         if little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
     };
-    // Bytes of an offset, and of the number of entries.
+    // Sizes of an offset and of the number of entries in bytes, and the offset of the first directory.
     let (offset, counted, at) = match head.get(2..4).map(number) {
         Some(42) => (4, 2, head.get(4..8)),
         Some(43) => (8, 8, head.get(8..16)),

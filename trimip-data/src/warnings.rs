@@ -3,7 +3,7 @@
 use crate::{orientation::Turn, source::Source};
 use trimip_core::{Alpha, Intrinsics};
 
-/// A warning if the lens has no rays for some pixels: they are neither trained nor compared.
+/// Returns a warning if the lens has no rays for some pixels: they are neither trained nor compared.
 pub(crate) fn blind<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<String> {
     let mut known: Vec<(Intrinsics, u64)> = Vec::new();
     let (mut blind, mut all) = (0, 0);
@@ -25,7 +25,7 @@ pub(crate) fn blind<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<Str
     })
 }
 
-/// A warning if photographs have an EXIF orientation that was not applied but may be intended.
+/// Returns a warning if photographs have an EXIF orientation that was not applied but may be intended.
 pub(crate) fn orientation<'a>(sources: impl Iterator<Item = &'a Source>) -> Option<String> {
     let mut doubtful = sources.flat_map(Source::files).filter(|file| file.turn == Turn::Doubtful);
     let first = doubtful.next()?;
@@ -37,7 +37,7 @@ pub(crate) fn orientation<'a>(sources: impl Iterator<Item = &'a Source>) -> Opti
     ))
 }
 
-/// A warning if some photographs have alpha and others have not.
+/// Returns a warning if some photographs have alpha and others do not.
 pub(crate) fn alpha(train: &[Source], alpha: Alpha) -> Option<String> {
     let silhouette = |source: &Source| alpha.is_opacity() && source.mask.is_some();
     let files = || train.iter().flat_map(|source| source.files().iter().map(move |file| (source, file)));

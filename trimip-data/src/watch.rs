@@ -7,7 +7,7 @@ use trimip_core::{Error, Result};
 /// the work after the photographs in progress.
 pub type Watch<'a> = &'a (dyn Fn(u64, u64) -> bool + Sync);
 
-/// A [`Watch`] that does nothing.
+/// Ignores progress and never stops the work: the [`Watch`] for callers that need none.
 pub fn unwatched(_: u64, _: u64) -> bool {
     true
 }
@@ -21,7 +21,7 @@ pub(crate) struct Meter<'a> {
 }
 
 impl<'a> Meter<'a> {
-    /// A meter of `total` rows; reports 0 rows to the watch.
+    /// Creates a meter of `total` rows, and reports 0 rows to the watch.
     pub(crate) fn new(total: u64, watch: Watch<'a>) -> Self {
         let stopped = !watch(0, total);
         Self { done: AtomicU64::new(0), total, stopped: stopped.into(), watch }
@@ -35,7 +35,7 @@ impl<'a> Meter<'a> {
         }
     }
 
-    /// Checks that the work is to go on.
+    /// Checks that the work should continue.
     ///
     /// # Errors
     /// Of kind `Stopped`, once the watch has returned false.

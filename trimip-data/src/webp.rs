@@ -24,8 +24,8 @@ pub(crate) fn check(source: &mut (impl Read + Seek)) -> io::Result<()> {
     found
 }
 
-/// Checks the chunks in a range of the file, whose pictures have the size `size` if it is stated. An animation frame
-/// (`ANMF`) has chunks of its own but no further frames (RFC 9649, 2.7.1.1), so a file cannot nest them without end.
+/// Checks the chunks in a range of the file. Their pictures must have the size `size`, if it is given. An animation frame
+/// (`ANMF`) has chunks of its own but no further frames (RFC 9649, 2.7.1.1), so that frames cannot be nested without end.
 fn parts(
     source: &mut (impl Read + Seek),
     range: std::ops::Range<u64>,
@@ -61,7 +61,7 @@ fn parts(
             }
             b"VP8 " => {
                 let [t0, t1, t2, _, _, _, w0, w1, h0, h1] = first(source)?;
-                // The length of the first partition, after one bit for the frame type, three for the version and one for the display.
+                // The length of the first partition follows one bit for the frame type, three for the version and one for the display.
                 let first = u32::from_le_bytes([t0, t1, t2, 0]) >> 5;
                 let own = [[w0, w1], [h0, h1]].map(|side| u32::from(u16::from_le_bytes(side) & 0x3fff));
                 expect(own, size)?;
@@ -80,7 +80,7 @@ fn parts(
     Ok(())
 }
 
-/// A side of a picture, which is stored minus one.
+/// Returns a side of a picture, which is stored minus one.
 fn side([a, b, c]: [u8; 3]) -> u32 {
     1 + u32::from_le_bytes([a, b, c, 0])
 }

@@ -1,6 +1,6 @@
-//! Writing scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder. The
+//! Writes scenes: any scene as the public multi-scale layout, and the built-in scene as a Blender-layout folder. The
 //! JSON file that names the images is written last, so a folder that has one is complete. If the command is stopped
-//! before, running it again completes the folder. An existing file is never replaced.
+//! before that, running it again completes the folder. An existing file is never replaced.
 
 use crate::settings::{DataConfig, HoldoutBy};
 use crate::{
@@ -56,8 +56,8 @@ impl Display for Summary {
 /// pixels, centred principal point) also has the arrays `fl_y`, `cx`, `cy`. Progress of reading goes to `watch`.
 ///
 /// # Errors
-/// Those of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG
-/// does not have.
+/// Errors of reading; a folder that cannot be written or holds a set already; the premultiplied convention, which PNG
+/// does not support.
 pub fn write_multiscale(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Result<Summary> {
     if config.convention != Convention::Public {
         return Err(Error::input(
@@ -120,7 +120,7 @@ fn image_path(split: &str, frame: usize, level: u32) -> String {
     format!("images_{split}/{frame:03}_d{level}.png")
 }
 
-/// The arrays of one split.
+/// Returns the arrays of one split.
 fn columns(split: &str, sources: &[Source]) -> Value {
     let views: Vec<(usize, u32, &Camera)> = sources
         .iter()
@@ -204,7 +204,7 @@ pub fn write_builtin(config: &DataConfig, folder: &Path, watch: Watch<'_>) -> Re
     Ok(summary)
 }
 
-/// The file of a split of the built-in scene.
+/// Returns the file of a split of the built-in scene.
 fn transforms(split: &str, sources: &[Source]) -> String {
     let frames: Vec<Value> = sources
         .iter()
@@ -216,7 +216,7 @@ fn transforms(split: &str, sources: &[Source]) -> String {
     json!({ "camera_angle_x": builtin::CAMERA_ANGLE_X, "frames": frames }).to_string()
 }
 
-/// Refuses a folder that holds a data set, unless its only file of cameras is the one that an unfinished set begins with.
+/// Refuses a folder that holds a data set, unless its only camera file is the one that a stopped run of this command writes first.
 fn refuse_all_but(folder: &Path, (first, text): &(PathBuf, String)) -> Result<()> {
     let foreign = readers::READERS.iter().filter(|reader| reader.format != blender::FORMAT);
     let others =
@@ -229,14 +229,14 @@ fn refuse_all_but(folder: &Path, (first, text): &(PathBuf, String)) -> Result<()
     if others || !unfinished { Err(exists(folder)) } else { Ok(()) }
 }
 
-/// Camera-to-world rows.
+/// Returns the rows of the camera-to-world matrix.
 fn pose(camera: &Camera) -> Value {
     let (r, o) = (camera.rotation.transpose().to_cols_array_2d(), camera.origin.to_array());
     let row = |i: usize| json!([r[i][0], r[i][1], r[i][2], o[i]]);
     json!([row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]])
 }
 
-/// Writes a PNG and returns its bytes.
+/// Writes a PNG and returns its size in bytes.
 fn save(path: &Path, pixels: &[[u8; 4]], k: &Intrinsics) -> Result<u64> {
     let mut png = Cursor::new(Vec::new());
     image::write_buffer_with_format(

@@ -1,6 +1,6 @@
 //! Untrusted zip archives: their directory, and the bytes of their files. Names, sizes and kinds are checked before a
-//! file is read, and each file is checked against its stated size and checksum while it is read. No memory is allocated
-//! for sizes that an archive merely states.
+//! file is read, and each file is checked against its stated size and checksum while it is read. Memory is never
+//! allocated for a size merely because the archive states it.
 
 use flate2::read::DeflateDecoder;
 use rawzip::{
@@ -26,13 +26,13 @@ const CHUNK: usize = 1 << 16;
 const UNPACK: &str = "if you trust it, unpack it with another program and name the folder";
 const AGAIN: &str = "copy or download the archive again";
 
-/// Largest archive that is accepted.
+/// Limits of an archive that is accepted.
 #[derive(Clone, Copy)]
 pub(crate) struct Limits {
     /// Number of entries.
     pub(crate) entries: u64,
-    /// Bytes of all its files together, or if that is more, `ratio` times those of the archive. DEFLATE expands a byte
-    /// to at most 1032 bytes, and photographs hardly expand.
+    /// Total bytes of its unpacked files; if `ratio` times the bytes of the archive is more, that is the limit. DEFLATE
+    /// expands a byte to at most 1032 bytes, and photographs hardly expand.
     pub(crate) bytes: u64,
     pub(crate) ratio: u64,
     /// Number of parts of a path: nested folders and the file.
@@ -43,7 +43,7 @@ impl Limits {
     pub(crate) const USUAL: Self = Self { entries: 500_000, bytes: 1 << 30, ratio: 100, depth: 32 };
 }
 
-/// True for a path with the ending of a zip archive that is no folder.
+/// Returns true for a path with the ending of a zip archive that is no folder.
 pub fn is_archive(path: &Path) -> bool {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
     ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str())) && !path.is_dir()
@@ -54,7 +54,7 @@ pub(crate) struct Zip<R> {
     /// Its name in errors.
     name: String,
     archive: ZipArchive<R>,
-    /// In the order of its directory. Hidden files and those of macOS are left out.
+    /// Files in the order of the archive's directory, without hidden files and those of macOS.
     pub(crate) files: Vec<File>,
     /// Hash of its directory, which holds the name, the size and the checksum of each file.
     pub(crate) fingerprint: u64,
@@ -62,14 +62,14 @@ pub(crate) struct Zip<R> {
 
 /// A file in an archive.
 pub(crate) struct File {
-    /// Its path, of plain names with `/` between them.
+    /// Its path: plain names with `/` between them.
     pub(crate) path: String,
     is_stored: bool,
     place: ZipArchiveEntryWayfinder,
 }
 
 impl File {
-    /// Its size as the archive states it. [`Zip::read`] passes on exactly as many bytes, or fails.
+    /// Returns its size as the archive states it. [`Zip::read`] passes on exactly as many bytes, or fails.
     pub(crate) fn bytes(&self) -> u64 {
         self.place.uncompressed_size_hint()
     }
@@ -118,7 +118,7 @@ impl<R: ReaderAt> Zip<R> {
             }
             files.push(file);
         }
-        // Some programs write only the lowest 16 bits of the number.
+        // Some programs write only the lowest 16 bits of the number of entries.
         if listed % (1 << 16) != archive.entries_hint() % (1 << 16) {
             let what = format!("states {} entries but lists {listed}", archive.entries_hint());
             return Err(Error::input(name, what, AGAIN));
@@ -152,7 +152,7 @@ impl<R: ReaderAt> Zip<R> {
     /// Passes the bytes of a file to `take`, part by part.
     ///
     /// # Errors
-    /// If size or checksum differ from those that the archive states, before any surplus bytes are passed, and errors of `take`.
+    /// If size or checksum differ from those that the archive states, and errors of `take`. Surplus bytes are never passed to `take`.
     pub(crate) fn read(&self, file: &File, mut take: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let place = Place::part(self.name.to_string(), &file.path);
         let entry = self.archive.get_entry(file.place).map_err(|error| damaged(&place, &error))?;
@@ -172,7 +172,7 @@ impl<R: ReaderAt> Zip<R> {
     }
 }
 
-/// Hash of the record of an entry in the directory.
+/// Returns a hash of the record of an entry in the directory.
 fn hash(entry: &ZipFileHeaderRecord<'_>) -> u64 {
     let numbers = [
         entry.crc32().into(),
@@ -184,7 +184,7 @@ fn hash(entry: &ZipFileHeaderRecord<'_>) -> u64 {
     fingerprint::hash_of([entry.file_path().as_ref(), &numbers])
 }
 
-/// The file of an entry; `None` for a folder, a hidden file and a file of macOS.
+/// Returns the file of an entry, or `None` for a folder, a hidden file and a file of macOS.
 fn file(name: &Place, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Result<Option<File>> {
     let raw = entry.file_path();
     if raw.as_ref().is_empty() {
@@ -234,7 +234,7 @@ fn file(name: &Place, entry: &ZipFileHeaderRecord<'_>, limits: &Limits) -> Resul
     Ok(Some(File { path: parts.join("/"), is_stored, place: entry.wayfinder() }))
 }
 
-/// True for a part that begins with a drive, such as `C:`.
+/// Returns true for a part that begins with a drive, such as `C:`.
 fn has_drive(part: &str) -> bool {
     let bytes = part.as_bytes();
     bytes.len() > 1 && bytes[0].is_ascii_alphabetic() && bytes[1] == b':'
@@ -248,7 +248,7 @@ fn damaged(place: &Place, error: &dyn Display) -> Error {
     Error::input(place, format!("is damaged: {error}"), AGAIN)
 }
 
-/// The error for a file whose bytes differ from what the archive states.
+/// Returns the error for a file whose bytes differ from those that the archive states.
 fn unequal(place: &Place, error: &std::io::Error) -> Error {
     let inner = error.get_ref().and_then(|inner| inner.downcast_ref::<rawzip::Error>());
     match inner.map(rawzip::Error::kind) {

@@ -1,4 +1,5 @@
-//! Scenes in zip archives: their views are those of the packed folder; where they are unpacked; archives that are refused.
+//! Tests of scenes in zip archives: their views equal those of the packed folder, they are unpacked to the right place,
+//! and bad archives are refused.
 
 use crate::common::{
     assert_same, blender_scene,
@@ -15,7 +16,7 @@ use std::{
 use tempfile::TempDir;
 use trimip_data::{Scene, has_split, is_archive, open, open_test};
 
-/// A folder with the scene in `scene`, and its files as entries.
+/// Returns a folder that holds a scene in its subfolder `scene`, and the files of the scene as entries.
 fn scene() -> (TempDir, Vec<Entry>) {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("scene");
@@ -25,7 +26,7 @@ fn scene() -> (TempDir, Vec<Entry>) {
     (folder, entries)
 }
 
-/// Names of the files and folders in a folder.
+/// Returns the names of the files and folders in a folder.
 fn names(folder: &Path) -> Vec<String> {
     let entries =
         fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -41,7 +42,7 @@ fn assert_same_scene(a: &Scene, b: &Scene) {
     assert_eq!(a.stated, b.stated);
 }
 
-/// The message of an archive that is refused; it leaves nothing behind.
+/// Returns the message with which an archive is refused. Checks that the archive leaves nothing behind.
 fn refused(path: &Path) -> String {
     let before = names(path.parent().unwrap());
     let error = open(&settings(path, 1)).unwrap_err();
@@ -94,7 +95,7 @@ fn a_scene_in_an_archive_has_the_views_of_its_folder() {
             "{told}"
         );
         assert!(scene.description.iter().any(|line| line == told), "{:?}", scene.description);
-        // The archive is unpacked once: later changes to the folder stay.
+        // The archive is unpacked only once, so later changes to the folder stay.
         fs::write(here.join(root).join("mine.txt"), "mine").unwrap();
         let again = open(&config).unwrap();
         assert_same_scene(&again, &whole);
@@ -140,7 +141,7 @@ fn a_file_of_record3d_is_read_as_it_is() {
         assert_cameras(&scene, &all);
         assert_same_scene(&scene, &open(&settings(&root, 1)).unwrap());
     }
-    // With the format of another kind of scene it is refused, and nothing is left of it.
+    // With the format of another kind of scene, the archive is refused, and nothing of it is left.
     let mut config = settings(&path, 1);
     config.format = "polycam".into();
     fs::remove_dir_all(here.join("walk")).unwrap();
@@ -149,7 +150,6 @@ fn a_file_of_record3d_is_read_as_it_is() {
     assert_eq!(names(here), ["files", "walk.r3d"]);
 }
 
-/// Archives that are broken or unsafe.
 #[test]
 fn archives_that_are_broken_or_not_to_be_trusted_are_refused() {
     let (folder, whole) = scene();
@@ -220,7 +220,7 @@ fn archives_that_are_broken_or_not_to_be_trusted_are_refused() {
         (good[..good.len() / 2].to_vec(), "is no zip archive, or its end is missing"),
         (b"<html>".to_vec(), "is no zip archive, or its end is missing"),
         (Vec::new(), "is no zip archive, or its end is missing"),
-        // Its beginning is missing.
+        // The beginning of the archive is missing.
         (good[500..].to_vec(), "is damaged: "),
         (short, "states 7 entries but lists"),
         (archive(&[]), "holds no file; name another archive, or the folder of a scene"),
@@ -278,7 +278,8 @@ fn folders_of_others_stay_as_they_are() {
         let message = refused(&path);
         assert!(message.contains(what), "{what}: {message}");
     };
-    // In place of the folder: an empty folder, a file, one with files, a scene, a mark of another.
+    // In place of the unpacked folder: an empty folder, a folder with a file, a folder with a scene, then with an
+    // invalid mark too, and a file.
     fs::create_dir(&at).unwrap();
     expect("cannot be unpacked there; rename one of the two, or name ");
     fs::write(at.join("mine.txt"), "mine").unwrap();
@@ -301,12 +302,12 @@ fn folders_of_others_stay_as_they_are() {
     fs::write(&left, "mine").unwrap();
     expect("is in the way of unpacking");
     fs::remove_file(&left).unwrap();
-    // Another archive of the same name.
+    // An archive with the name of another one that was unpacked.
     open(&settings(&path, 1)).unwrap();
     fs::write(here.join("a.r3d"), archive(&entries[1..])).unwrap();
     let message = refused(&here.join("a.r3d"));
     assert!(message.contains("/a: was unpacked from another archive (\"a.zip\"), not from "), "{message}");
-    // An archive whose name leaves no room for that of the temporary folder.
+    // An archive whose name is too long for the name of the temporary folder.
     let long = here.join("x".repeat(251) + ".zip");
     fs::copy(&path, &long).unwrap();
     let message = refused(&long);
@@ -346,7 +347,7 @@ fn what_a_killed_process_leaves_is_unpacked_again() {
     fs::write(&path, archive(&entries)).unwrap();
     open(&settings(&path, 1)).unwrap();
     let mark = fs::read(at.join(".unpacked.json")).unwrap();
-    // The process was killed before the mark, within it, and after some files.
+    // The process was killed before it wrote the mark, while it wrote the mark, and after some files.
     for (mark, files) in [(None, false), (Some(&mark[..9]), false), (Some(&mark[..]), true)] {
         fs::remove_dir_all(&at).unwrap();
         fs::create_dir_all(left.join("train")).unwrap();

@@ -1,5 +1,5 @@
-//! Data as users have it, after other programs, other machines and deleted photographs. Each kind is read correctly,
-//! with a warning where something was left out or found elsewhere.
+//! Tests of data as users have it: written by other programs, copied from other machines, with deleted photographs.
+//! Each kind is read correctly, with a warning where something was left out or found elsewhere.
 
 use crate::common::{
     assert_same, blender_scene,
@@ -25,7 +25,7 @@ fn transforms(root: &Path, paths: &[String]) {
     write(&root.join("transforms.json"), &document);
 }
 
-/// A scene of ten frames whose entries are `named`, with photographs of `size` at `stored`; `i` is the frame's number.
+/// Opens a scene of ten frames. Frame i has the path `named(i)` in its entry, and a photograph of `size` at `stored(i)`.
 fn scene_of(
     named: &dyn Fn(usize) -> String,
     stored: &dyn Fn(usize) -> String,
@@ -94,7 +94,7 @@ fn test_frames_that_were_never_rendered_are_held_out_of_training() {
     let scene = open(&settings(folder.path(), 1)).unwrap();
     assert_eq!((scene.train.views.len(), scene.test.len()), (1, 1));
     warned(&scene, "has no photographs of a split \"test\": every 8th training frame is held out");
-    // With only some of them, it is an error: the others may be missing by accident.
+    // If only some of the test photographs exist, it is an error: the others may be missing by accident.
     save_image(&folder.path().join("test/r_0.png"), 16, 12);
     assert!(open(&settings(folder.path(), 1)).unwrap_err().message().contains("test/r_1 does not exist"));
     // The validation frames are tested on instead.
@@ -136,7 +136,7 @@ fn names_and_encodings_of_transforms_files_vary() {
     assert_eq!(found.test.len(), usual.test.len());
 }
 
-/// The photographs of a model.
+/// Saves the photographs of a model.
 fn save_images(folder: &Path, sparse: &Sparse) {
     sparse.images.iter().for_each(|(.., name, _)| save_image(&folder.join(name), 60, 40));
 }
@@ -191,7 +191,7 @@ fn photographs_deleted_after_the_model_was_made_are_left_out() {
             root.path().join("images").join(gone).display()
         ),
     );
-    // Its observations are left out of the tracks, and those of the others are correct.
+    // The observations of the deleted image are missing from the tracks, and the other observations are correct.
     assert!(found.points.iter().all(|point| point.track.len() < 10));
     let seen = |scene: &Scene, point: usize, name: &str| {
         let at =
@@ -201,7 +201,7 @@ fn photographs_deleted_after_the_model_was_made_are_left_out() {
     let kept = &found.train.views[3].name;
     assert!(seen(&whole, 5, kept).is_some());
     assert_eq!(seen(&found, 5, kept), seen(&whole, 5, kept));
-    // The same image was deleted from the model too.
+    // The same image was also deleted from the model.
     save_images(&root.path().join("images"), &sparse);
     let mut fewer = sparse.clone();
     fewer.images.remove(2);
@@ -216,7 +216,7 @@ fn photographs_deleted_after_the_model_was_made_are_left_out() {
         assert_same(&same.train, &found.train);
         assert!(same.points.iter().zip(&found.points).all(|(ours, theirs)| ours.track == theirs.track));
     }
-    // If most of them are missing, another folder is meant.
+    // If most photographs are missing, the folder is probably the wrong one.
     fs::remove_dir_all(root.path().join("images/left")).unwrap();
     fs::remove_dir_all(root.path().join("images/right side")).unwrap();
     save_image(&root.path().join("images").join(&sparse.images[0].4), 60, 40);
@@ -245,7 +245,7 @@ fn a_camera_whose_calibration_failed_is_left_out() {
             warned(&found, "camera 2 of image ");
         }
     }
-    // NaN as the library of another system writes it.
+    // NaN as the C library of another system writes it.
     fs::remove_dir_all(&model).unwrap();
     sparse.write_text(&model);
     let path = model.join("cameras.txt");

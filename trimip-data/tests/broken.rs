@@ -1,4 +1,4 @@
-//! Broken input: each case is one line that names the place, and nothing panics.
+//! Tests of broken input: each case gives an error of one line that names the place, and nothing panics.
 
 use crate::common::{blender_scene, frame, save_image, settings, write};
 use proptest::prelude::*;
@@ -10,7 +10,7 @@ use trimip_data::{inspect, open};
 
 const TRAIN: &str = "transforms_train.json";
 
-/// The error of the small scene after `breaking` it.
+/// Returns the error of the small scene after `breaking` it.
 fn error_after(scales: u32, breaking: impl Fn(&Path)) -> String {
     let folder = tempfile::tempdir().unwrap();
     blender_scene(folder.path());
@@ -18,7 +18,7 @@ fn error_after(scales: u32, breaking: impl Fn(&Path)) -> String {
     error_of(folder.path(), scales)
 }
 
-/// The error of a folder, its own path written as `ROOT`.
+/// Returns the error of a folder, with the path of the folder written as `ROOT`.
 fn error_of(root: &Path, scales: u32) -> String {
     let error = open(&settings(root, scales)).expect_err("this input is broken");
     assert_eq!(error.kind(), ErrorKind::Input, "{error}");
@@ -114,7 +114,7 @@ fn broken_images_are_named() {
         message.contains("16x12 pixels is too small for 5 scales; set data.scales to 4 or less"),
         "{message}"
     );
-    // A shared focal length in pixels holds for one size; an angle of view for any.
+    // A focal length in pixels for all frames is valid for one size only, an angle of view for any size.
     let message = error_after(1, |root| {
         save_image(&image(root), 20, 12);
         edit(root, |document| document["fl_x"] = json!(20.0));
@@ -175,7 +175,7 @@ fn settings_out_of_range_are_errors() {
     }
 }
 
-/// Changes to the text of a JSON file.
+/// Generates random changes to the text of a JSON file.
 fn mutated(text: String) -> impl Strategy<Value = Vec<u8>> {
     let length = text.len();
     let snippet = prop::sample::select(vec![
@@ -207,7 +207,7 @@ fn mutated(text: String) -> impl Strategy<Value = Vec<u8>> {
     })
 }
 
-/// Values of wrong kinds at every place of a document.
+/// Returns the document with `with` in place of value number `nth`.
 fn with_replaced_value(document: &Value, nth: usize, with: &Value) -> Value {
     fn replace(value: &mut Value, left: &mut usize, with: &Value) {
         if *left == 0 {
@@ -267,7 +267,7 @@ proptest! {
     }
 }
 
-/// The text of a whole file, to be mutated.
+/// Returns the text of a whole file, to be mutated.
 fn common_text(name: &str) -> String {
     let (folder, set) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     blender_scene(folder.path());

@@ -1,4 +1,4 @@
-//! Captures: the same cameras and pixels in every format, and the files around a COLMAP model.
+//! Tests of captures: every format gives the same cameras and pixels, and the files around a COLMAP model are found.
 
 use crate::common::{
     assert_same,
@@ -12,7 +12,7 @@ use trimip_core::{Camera, Cone, ViewSet};
 use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, colmap::Model, inspect, open, unwatched, write_multiscale};
 
-/// Photographs of a capture.
+/// Saves the photographs of a capture.
 fn save_images(folder: &Path, sparse: &Sparse, [width, height]: [u32; 2]) {
     for (.., name, _) in &sparse.images {
         save_image(&folder.join(name), width, height);
@@ -23,12 +23,12 @@ fn scene(root: &Path) -> Scene {
     open(&settings(root, 2)).unwrap()
 }
 
-/// The same capture as frames of a transforms file, by the literal conversion of the poses.
+/// Returns the same capture as frames of a transforms file; the conversion of the poses is written out.
 fn transforms(sparse: &Sparse) -> Vec<Value> {
     let mut frames = Vec::new();
     for (_, q, t, camera, name, _) in &sparse.images {
         let r = rotation(*q);
-        // Column c of the camera-to-world rotation is row c of R; y and z turn over. The centre is −Rᵀt.
+        // Column c of the camera-to-world rotation is row c of R; y and z change sign. The centre is −Rᵀt.
         let flip = [1.0, -1.0, -1.0];
         let row = |i: usize| {
             let centre = -(0..3).map(|c| r[c][i] * t[c]).sum::<f64>();
@@ -66,7 +66,7 @@ fn transforms(sparse: &Sparse) -> Vec<Value> {
     frames
 }
 
-/// The same rays and pixels.
+/// Asserts that two sets have the same rays and pixels.
 fn assert_same_rays(a: &ViewSet, b: &ViewSet) {
     assert_eq!(a.views.len(), b.views.len());
     assert!(a.pixels == b.pixels);
@@ -75,7 +75,7 @@ fn assert_same_rays(a: &ViewSet, b: &ViewSet) {
     }
 }
 
-/// Poses that binary numbers hold exactly as quaternion and as matrix, so that no reader rounds: the turns of a tetrahedron.
+/// Returns a capture whose rotations are exact in binary, as quaternions and as matrices, so that no reader rounds: those of a tetrahedron.
 fn exactly_posed() -> Sparse {
     let mut sparse = capture();
     let half = [-0.5, 0.5];
@@ -150,7 +150,7 @@ fn every_format_gives_the_same_rays_and_pixels() {
             assert_same_rays(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
         }
     }
-    // The lists choose the frames, and the file orders them.
+    // The lists choose the frames, but the file determines their order.
     let theirs = scene(listed);
     assert_eq!((theirs.train.scales[0].views.len(), theirs.test.len()), (8, 2));
     for index in 0..8 {
@@ -162,7 +162,7 @@ fn every_format_gives_the_same_rays_and_pixels() {
     assert_eq!(shown[4], "right side_0000");
 }
 
-/// COLMAP's sensor/models.h, written out for a point (u, v, w) in the camera's axes: x right, y down, z forward.
+/// Projects a point (u, v, w) in the camera's axes (x right, y down, z forward) by COLMAP's sensor/models.h, written out.
 fn literal(model: &str, p: &[f64], [u, v, w]: [f64; 3]) -> [f64; 2] {
     let (x, y) = (u / w, v / w);
     let r2 = x * x + y * y;
@@ -244,7 +244,7 @@ fn every_camera_model_projects_as_colmap_does() {
     }
 }
 
-/// Asserts that every pixel with features has the known distance of the nearest of their points, and no other pixel has any.
+/// Asserts that every pixel with features has a known depth, that of the nearest of their points, and no other pixel has one.
 fn assert_depths(scene: &Scene) {
     let mut expected = std::collections::BTreeMap::new();
     for scale in &scene.train.scales {
@@ -271,7 +271,7 @@ fn points_are_kept_with_the_training_views_that_saw_them() {
     let scene = scene(root.path());
     assert_eq!(scene.points.len(), 125);
     assert_eq!((scene.points[3].color, scene.points[3].error), ([3, 7, 200], Some(0.5)));
-    // Two of ten images are tested on.
+    // Two of ten images are test frames.
     assert!(scene.points.iter().all(|point| point.track.len() == 8 && point.seen == Some(10)));
     // The height of each feature identifies its image.
     for seen in &scene.points[7].track {
@@ -317,7 +317,7 @@ fn text_is_read_with_its_peculiarities() {
         assert_eq!((a.id, a.rotation, a.translation, &a.name), (b.id, b.rotation, b.translation, &b.name));
     }
     assert!(own.images.iter().any(|image| image.name == "right side/0003.png"));
-    // Tracks without features bound the scene all the same.
+    // Points whose tracks have no features still bound the scene.
     save_images(&root.path().join("images"), &sparse, [60, 40]);
     let scene = scene(root.path());
     assert!(scene.stated.is_some() && scene.points.iter().all(|point| point.track.is_empty()));
@@ -377,12 +377,12 @@ fn models_and_photographs_are_found_where_programs_put_them() {
         save_images(&root.path().join(images), &sparse, [60, 40]);
         assert_eq!(scene(root.path()).train.views.len(), 16, "{model} {images}");
     }
-    // The scene may also be named by its model.
+    // A scene may also be opened by the folder of its model.
     let root = tempfile::tempdir().unwrap();
     sparse.write_text(&root.path().join("sparse/0"));
     save_images(&root.path().join("images"), &sparse, [60, 40]);
     assert_eq!(scene(&root.path().join("sparse/0")).train.views.len(), 16);
-    // The error for the folder above names it.
+    // The error for the folder above the scene names the scene.
     let above = tempfile::tempdir().unwrap();
     fs::rename(root.path(), above.path().join("garden")).unwrap();
     let message = open(&settings(above.path(), 1)).unwrap_err().message();
@@ -430,7 +430,7 @@ fn photographs_in_another_size_have_scaled_cameras() {
         assert_eq!((own.width, own.height, own.lens), (15, 10, other.lens));
     }
     assert_eq!(quarter.points[5].track[1].at, whole.points[5].track[1].at.map(|place| 0.25 * place));
-    // 60 / 7 and 40 / 7 are rounded.
+    // 60 / 7 and 40 / 7 are rounded to whole pixels.
     config.images = "images_7".into();
     let seventh = open(&config).unwrap().train.views[0].camera.intrinsics;
     assert!((seventh.fx / whole.train.views[0].camera.intrinsics.fx - 0.15).abs() < 1e-12);
@@ -445,7 +445,7 @@ fn photographs_in_another_size_have_scaled_cameras() {
     assert_same(&found.train, &quarter.train);
 }
 
-/// Settings of a COLMAP capture with a list of test frames.
+/// Returns settings of a COLMAP capture with a list of test frames.
 fn listed(root: &Path, list: &str) -> DataConfig {
     fs::write(root.join("test.txt"), list).unwrap();
     DataConfig { test_list: "test.txt".into(), ..settings(root, 1) }
@@ -477,7 +477,7 @@ fn a_list_of_names_divides_any_scene() {
     let same = open(&listed(root.path(), list)).unwrap();
     assert_same_rays(&divided.train, &same.train);
     assert_eq!(same.test.len(), 2);
-    // A set that is written has the frames of the list as its test split.
+    // A written multi-scale set has the frames of the list as its test split.
     let set = tempfile::tempdir().unwrap();
     let summary = write_multiscale(&listed(root.path(), list), set.path(), &unwatched).unwrap();
     assert_eq!(summary.splits, [("train".to_string(), 8), ("test".to_string(), 2)]);
@@ -523,7 +523,7 @@ fn lists_of_a_transforms_file_are_its_splits() {
     let mut config = settings(root.path(), 1);
     config.test = "val".into();
     assert_eq!(open(&config).unwrap().test.load(0).unwrap().views[0].name, "right side_0001");
-    // Without a list of test frames, those of "val" are tested on, or some training frames are held out.
+    // Without a list of test frames, the frames of "val" are the test frames, or some training frames are held out.
     let scene = with(json!({ "train_filenames": named[..9], "val_filenames": named[9..] })).unwrap();
     assert_eq!((scene.train.views.len(), scene.test.len()), (9, 1));
     assert!(scene.warnings.iter().any(|w| w.contains("\"val\" is the test split")), "{:?}", scene.warnings);
@@ -591,11 +591,11 @@ fn each_broken_model_is_told_apart() {
             assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
             let message = error.message();
             let named = message.contains(file) && message.contains(what);
-            // Text files name models, binary files number them.
+            // Text files state the name of a model, binary files its number.
             assert!(named, "binary {binary}: {what}:\n{message}");
         }
     }
-    // A binary file that ends early, everywhere.
+    // A binary file that ends early, at every length.
     let sparse = capture();
     let folder = root.path().join("sparse/0");
     fs::remove_dir_all(&folder).unwrap();

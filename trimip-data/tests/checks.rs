@@ -1,4 +1,5 @@
-//! Checks of captures: each is silent about the built-in scene as it is, and reports the scene that was made wrong for it.
+//! Tests of the checks of captures: each is silent about the built-in scene as it is, and reports a scene that has the
+//! mistake it looks for.
 
 use glam::DVec3;
 use trimip_core::{Aabb, Alpha, Camera, Scale, ViewSet};
@@ -9,7 +10,7 @@ use trimip_data::{Observation, Point, Scene};
 /// The box of the built-in scene.
 const WHOLE: Aabb<f64> = Aabb { min: [-1.25; 3], max: [1.25; 3] };
 
-/// 32 training views of 96 pixels at two scales, and 4 test views.
+/// Opens the built-in scene with 32 training views of 96 pixels at two scales, and 4 test views.
 fn scene() -> Scene {
     let mut data = DataConfig { format: "builtin".into(), ..DataConfig::default() };
     (data.builtin_size, data.builtin_train, data.builtin_test) = (96, 32, 4);
@@ -17,7 +18,7 @@ fn scene() -> Scene {
     trimip_data::open(&data).unwrap()
 }
 
-/// Gives the frames of all scales other poses.
+/// Replaces the poses of the frames at all scales.
 fn posed(train: &mut ViewSet, pose: impl Fn(usize, &[Camera]) -> Camera) {
     for scale in train.scales.clone() {
         let own: Vec<Camera> = scale.views.clone().map(|view| train.views[view].camera).collect();
@@ -27,7 +28,7 @@ fn posed(train: &mut ViewSet, pose: impl Fn(usize, &[Camera]) -> Camera) {
     }
 }
 
-/// Pixels of a frame at a scale.
+/// Returns the pixels of a frame at a scale.
 fn pixels<'a>(train: &'a mut ViewSet, scale: &Scale, frame: usize) -> &'a mut [[u8; 4]] {
     let view = &train.views[scale.views.start + frame];
     let k = &view.camera.intrinsics;
@@ -39,12 +40,12 @@ fn doubted(check: &Check) -> bool {
     matches!(check.verdict, Verdict::Suspicious(_))
 }
 
-/// Views that a check doubts.
+/// Returns the views that a check doubts.
 fn views(check: &Check) -> Vec<usize> {
     check.suspects.iter().map(|suspect| suspect.view).collect()
 }
 
-/// Points on a grid as the cameras see them, `shift` pixels away from their projections.
+/// Returns points on a grid, each with observations that are `shift` pixels away from its projections.
 fn points(cameras: &[Camera], shift: f64) -> Vec<Point> {
     let place =
         |i: i32| DVec3::new(f64::from(i % 3 - 1), f64::from(i / 3 % 3 - 1), f64::from(i / 9 - 1)) * 0.6;
@@ -87,7 +88,7 @@ fn a_scene_as_it_should_be_is_not_doubted() {
 #[test]
 fn silhouettes_tell_poses_of_other_photographs() {
     let mut scene = scene();
-    // Two frames have each other's poses.
+    // Two frames swap their poses.
     let swapped = [5, 20];
     posed(&mut scene.train, |frame, own| match frame {
         5 => own[20],
@@ -100,7 +101,7 @@ fn silhouettes_tell_poses_of_other_photographs() {
     assert!(doubted(&two) && swapped.iter().all(|view| found.contains(view)), "{two:?}");
     let warning = two.warning(&scene.train).unwrap();
     assert!(warning.contains("r_5 (") && warning.contains("wrong pose"), "{warning}");
-    // All poses are in another order. A shift of it would turn the spiral of the cameras and little else.
+    // All poses are shuffled. If their order were only shifted, the spiral of the cameras would turn and little else would change.
     posed(&mut scene.train, |frame, own| own[(11 * frame + 3) % own.len()]);
     let all = checks::silhouettes(&scene.train);
     assert!(doubted(&all) && all.warning(&scene.train).unwrap().contains("do not belong"), "{all:?}");
@@ -109,7 +110,7 @@ fn silhouettes_tell_poses_of_other_photographs() {
     assert_eq!(checks::silhouettes(&scene.train).verdict, Verdict::Unknown);
 }
 
-/// Poses with OpenCV's axes, y down and z forward, in a file that should have OpenGL's.
+/// Checks poses with OpenCV's axes, y down and z forward, in a file whose layout has OpenGL's axes.
 #[test]
 fn turned_axes_look_away_from_everything() {
     let mut scene = scene();
@@ -143,7 +144,7 @@ fn points_beside_their_places_tell_of_poses() {
     points.iter_mut().flat_map(|p| p.track.iter_mut()).for_each(|seen| seen.at[0] += 5.0);
     assert_eq!(checks::reprojection(&scene.train, &points).suspects.len(), 32);
     assert_eq!(checks::reprojection(&scene.train, &[]).verdict, Verdict::Unknown);
-    // Tracks that name no view are no sightings.
+    // Observations in views that do not exist are ignored.
     points.iter_mut().flat_map(|p| p.track.iter_mut()).for_each(|seen| seen.view = 99);
     assert_eq!(checks::ahead(&scene.train, &points).verdict, Verdict::Unknown);
 }
@@ -154,7 +155,7 @@ fn one_bright_photograph_differs_from_its_neighbours() {
     assert!(!doubted(&checks::brightness(&scene.train)));
     for scale in scene.train.scales.clone() {
         for pixel in pixels(&mut scene.train, &scale, 3) {
-            // An eighth of the values is less than a twentieth of the light.
+            // An eighth of the stored values is less than a twentieth of the light.
             *pixel = [pixel[0] / 8, pixel[1] / 8, pixel[2] / 8, pixel[3]];
         }
     }
@@ -222,7 +223,7 @@ fn cameras_that_no_rig_has_are_named() {
         }
         checks::optics(&other)
     };
-    // An angle in degrees, and a principal point of a larger photograph.
+    // The focal length of a very wide angle of view, and the principal point of a larger photograph.
     let wide = lens(&|camera| camera.intrinsics.fx = 0.5);
     let shifted = lens(&|camera| camera.intrinsics.cx *= 2.0);
     for (found, figure) in [(wide, "field of view of 17"), (shifted, "principal point 50 % from the middle")]
@@ -236,7 +237,7 @@ fn cameras_that_no_rig_has_are_named() {
     assert!(doubted(&found) && found.figure == "3 photographs to learn from", "{found:?}");
 }
 
-/// Without any data, no check fails.
+/// Checks that no check fails or panics without data.
 #[test]
 fn nothing_at_all_is_not_known() {
     let none = ViewSet {

@@ -1,4 +1,5 @@
-//! Depth images: their distances against the literal equation, the pixels that are known, and the errors of broken files.
+//! Tests of depth images: their distances equal those of the written-out equations, the right pixels are known, and
+//! broken files give errors.
 
 use crate::common::{
     ring::{arkitscenes, cameras, pinhole, polycam, save_images, transforms},
@@ -13,14 +14,14 @@ use std::{
 use trimip_core::{Intrinsics, Lens, scene::depths::KnownDepth, scene::fingerprint::Fingerprint};
 use trimip_data::{Scene, open};
 
-/// Depth images of a size, in thousandths.
+/// A depth image; its numbers are thousandths of a unit.
 type Image = ImageBuffer<Luma<u16>, Vec<u16>>;
 
 fn path(index: usize) -> String {
     format!("depths/{index}.png")
 }
 
-/// A slanted surface.
+/// Returns the depth image of a slanted surface.
 fn slanted(width: u32, height: u32) -> Image {
     let step = 240.0 / f64::from(width);
     let depth = |x: u32, y: u32| 2000.0 + step * (0.9 * f64::from(x) + 0.4 * f64::from(y));
@@ -32,7 +33,8 @@ fn save(root: &Path, index: usize, image: impl Into<DynamicImage>) {
     image.into().save(root.join(path(index))).unwrap();
 }
 
-/// Writes a scene of nine photographs with depth images, and returns its file. The first and the last photograph are tested on.
+/// Writes a scene of nine photographs with depth images, and returns its transforms file. The first and the last
+/// photograph are test frames.
 fn scene(root: &Path, intrinsics: Intrinsics, image: &Image) -> Value {
     save_images(root, [intrinsics.width, intrinsics.height]);
     let mut document = transforms(&cameras(intrinsics), intrinsics);
@@ -44,7 +46,8 @@ fn scene(root: &Path, intrinsics: Intrinsics, image: &Image) -> Value {
     document
 }
 
-/// Distance along the ray of a place in the image per unit of depth along the optical axis, as OpenCV writes its lens.
+/// Returns the distance along the ray of the position (u, v) per unit of depth along the optical axis, with OpenCV's
+/// lens equations written out.
 fn literal(k: &Intrinsics, coefficients: [f64; 4], [u, v]: [f64; 2]) -> f64 {
     let [k1, k2, p1, p2] = coefficients;
     let distorted = [(u - k.cx) / k.fx, (v - k.cy) / k.fy];
@@ -59,7 +62,7 @@ fn literal(k: &Intrinsics, coefficients: [f64; 4], [u, v]: [f64; 2]) -> f64 {
     (1.0 + x * x + y * y).sqrt()
 }
 
-/// Asserts that the image has each known depth in that pixel. Returns the number of known depths at each scale.
+/// Asserts that each known depth is that of the image in its pixel. Returns the number of known depths at each scale.
 fn assert_distances(scene: &Scene, image: &Image, coefficients: [f64; 4]) -> Vec<usize> {
     let set = &scene.train;
     let finest = set.views[0].camera.intrinsics;
@@ -106,7 +109,7 @@ fn depths_along_the_optical_axis_become_distances_along_rays() {
         ([0.0; 4], [15, 10]),
         (distorted, [60, 40]),
         (distorted, [24, 16]),
-        // Finer than the photograph.
+        // The depth image is finer than the photograph.
         (distorted, [120, 80]),
     ] {
         let folder = tempfile::tempdir().unwrap();
@@ -119,7 +122,7 @@ fn depths_along_the_optical_axis_become_distances_along_rays() {
         let scene = open(&settings(folder.path(), 2)).unwrap();
         assert!(scene.warnings.iter().all(|warning| !warning.contains("depth")), "{:?}", scene.warnings);
         let counts = assert_distances(&scene, &image, coefficients);
-        // In a finer image, every second pixel along each axis is known.
+        // In a finer depth image, every second pixel along each axis gives a known depth.
         let pixels = if size[0] == 120 { 60 * 40 } else { (size[0] * size[1]) as usize };
         let coarse = pixels.min(600);
         assert_eq!(counts[0], 7 * pixels, "{size:?}");
@@ -131,7 +134,7 @@ fn depths_along_the_optical_axis_become_distances_along_rays() {
         );
         assert!(told(&scene, &line), "{line}: {:?}", scene.description);
         assert!(scene.train.depths.is_sorted_by_key(|known| known.pixel));
-        // A second reading gives the same depths.
+        // Reading again gives the same depths.
         assert_eq!(open(&settings(folder.path(), 2)).unwrap().train.depths, scene.train.depths);
     }
 }
@@ -147,14 +150,14 @@ fn photographs_that_are_halved_have_the_same_depths() {
     assert_eq!(assert_distances(&halved, &image, [0.0; 4]), [7 * 600]);
 }
 
-/// Of an image with too many pixels, one pixel in each cell of a grid is known.
+/// Checks that an image with too many pixels gives the depth of one pixel in each cell of a grid.
 #[test]
 fn of_dense_images_a_grid_of_pixels_is_known() {
     let folder = tempfile::tempdir().unwrap();
     let k = Intrinsics { lens: Lens::default(), ..Intrinsics::from_angle(300, 200, 0.9) };
     scene(folder.path(), k, &slanted(300, 200));
     let scene = open(&settings(folder.path(), 1)).unwrap();
-    // Cells of 4 × 4 pixels.
+    // The cells have 4 × 4 pixels.
     assert_eq!(scene.train.depths.len(), 7 * 75 * 50);
     let places = scene.train.depths[..75].iter().map(|known| known.pixel);
     assert!(places.eq((0..75).map(|column| 2 * 300 + 4 * column + 2)));
@@ -164,7 +167,7 @@ fn of_dense_images_a_grid_of_pixels_is_known() {
 fn unknown_depths_and_edges_tell_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut image = ImageBuffer::from_fn(60, 40, |x, _| Luma([if x < 30 { 2000 } else { 2500_u16 }]));
-    // A pixel between the surfaces, some unknown ones, and one that is too far to be measured.
+    // A pixel between the surfaces, some unknown pixels, and one that is too far to be measured.
     image.put_pixel(45, 20, Luma([2250]));
     (0..10).for_each(|x| image.put_pixel(x, 7, Luma([0])));
     image.put_pixel(12, 30, Luma([u16::MAX]));
@@ -185,7 +188,7 @@ fn unknown_depths_and_edges_tell_nothing() {
     assert_distances(&scene, &image, [0.0; 4]);
 }
 
-/// Few pixels of such an image are known, as if a program had drawn its points into it.
+/// Checks an image with few known pixels, as if a program had drawn its points into it.
 #[test]
 fn sparse_images_are_read_whole() {
     let folder = tempfile::tempdir().unwrap();
@@ -200,7 +203,7 @@ fn sparse_images_are_read_whole() {
     assert_eq!((known, scene.train.depths.len()), (vec![0, 917, 27_018, 59_999], 28));
 }
 
-/// A table of numbers in NumPy's format.
+/// Returns the bytes of a table of numbers in NumPy's format.
 fn npy(kind: &str, shape: &str, numbers: impl Iterator<Item = Vec<u8>>) -> Vec<u8> {
     let header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n");
     let start = [b"\x93NUMPY\x01\0", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
@@ -259,14 +262,14 @@ fn units_of_depths_are_those_of_the_poses() {
     };
     document["depth_unit_scale_factor"] = json!(0.002);
     assert!(times(&of(&document), 2.0));
-    // Poses that were scaled when they were written.
+    // The poses were scaled when they were written.
     document["applied_scale"] = json!(0.25);
     assert!(times(&of(&document), 0.5));
     for index in 0..9 {
         document["frames"][index]["depth_unit_scale_factor"] = json!(0.004);
     }
     assert!(times(&of(&document), 1.0));
-    // A thousand times too long, and too short.
+    // The depths are a thousand times too long, then too short.
     for (factor, likely) in [(4.0, "1e-3"), (4e-6, "1e3")] {
         (0..9).for_each(|index| document["frames"][index]["depth_unit_scale_factor"] = json!(factor));
         let scene = of(&document);
@@ -387,7 +390,7 @@ fn what_is_wrong_with_a_depth_image_is_named() {
         let error = open(&settings(root, 1)).unwrap_err();
         assert!(error.kind() == trimip_core::ErrorKind::Input && !error.message().contains('\n'), "{error}");
         parts.iter().for_each(|part| assert!(error.message().contains(part), "{part}: {error}"));
-        // Broken files are no obstacle if depth images are not read.
+        // With `depths: false`, broken depth images do no harm.
         if !parts.iter().any(|part| part.contains('"')) {
             let config = trimip_data::settings::DataConfig { depths: false, ..settings(root, 1) };
             assert!(open(&config).unwrap().train.depths.is_empty());
@@ -412,7 +415,7 @@ fn some_that_are_missing_or_empty_are_counted() {
     ] {
         assert!(told(&scene, line), "{line}: {:?} {:?}", scene.warnings, scene.description);
     }
-    // All are empty.
+    // All depth images are empty.
     document["frames"][4]["depth_file_path"] = json!(path(4));
     write(&root.join("transforms.json"), &document);
     (0..9).for_each(|index| save(root, index, Image::new(30, 20)));
@@ -431,7 +434,7 @@ fn depth_images_of_fisheyes_are_left_out() {
     assert!(told(&scene, "7 depth images of fisheye lenses are not read"), "{:?}", scene.warnings);
 }
 
-/// ARKit's depth images of 3:2, with their confidence. Beyond 5 m they are guesses.
+/// Checks ARKit's depth images, of aspect ratio 3:2, with their confidence. Depths beyond 5 m are guesses and are left out.
 #[test]
 fn phones_write_millimetres_and_how_sure_they_are() {
     let all = cameras(pinhole());
@@ -463,7 +466,7 @@ fn phones_write_millimetres_and_how_sure_they_are() {
             DynamicImage::from(confidence.clone()).save(root.join(sure).join(&name)).unwrap();
         }
         let scene = open(&settings(root, 1)).unwrap();
-        // All pixels but the unreliable ones and the one that is far.
+        // All pixels are known except the unreliable ones and the one that is too far.
         assert_eq!(scene.train.depths.len(), 7 * (27 * 20 - 1), "{phone}");
         let first = scene.train.depths[0];
         let k = scene.train.views[0].camera.intrinsics;

@@ -1,5 +1,5 @@
-//! Exports of other programs: cameras written by the conventions of OpenSfM, Bundler and Polycam are read as those of a
-//! transforms file, and errors name what is broken.
+//! Tests of exports of other programs: cameras written by the conventions of OpenSfM, Bundler and Polycam are read as
+//! those of a transforms file, and errors name what is broken.
 
 use crate::common::{
     ring::{assert_cameras, cameras, name, polycam, save_images, vision},
@@ -11,7 +11,7 @@ use std::{fmt::Write, fs};
 use trimip_core::{Camera, Intrinsics, Lens};
 use trimip_data::open;
 
-/// A reconstruction of OpenSfM.
+/// Returns a reconstruction of OpenSfM.
 fn reconstruction(all: &[Camera], camera: &Value) -> Value {
     let shots: serde_json::Map<String, Value> = all
         .iter()
@@ -125,7 +125,7 @@ fn models_of_bundler_are_read() {
         let t = -(to_camera * camera.origin);
         writeln!(text, "{} {} {}", t.x, t.y, t.z).unwrap();
     }
-    // One was not placed.
+    // The last camera was not placed.
     text += "0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n";
     text += "0.5 0.25 -1\n9 99 199\n2 0 3 1.5 -2.5 1 4 2 -3\n1 2 3\n0 0 255\n0\n";
     fs::write(root.join("bundle.out"), &text).unwrap();
@@ -211,7 +211,7 @@ fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
         let rows: String = (0..3)
             .map(|i| format!("{} {} {} {}\n", axes.row(i).x, axes.row(i).y, axes.row(i).z, camera.origin[i]))
             .collect();
-        // Seven photographs are trained on, two are for validation.
+        // Seven photographs are for training, two for validation.
         let name = format!("{}_{index:04}", index / 7);
         fs::write(root.join(format!("pose/{name}.txt")), rows + "0 0 0 1\n").unwrap();
         save_image(&root.join(format!("rgb/{name}.png")), 60, 40);
@@ -250,7 +250,7 @@ fn the_layout_of_nsvf_is_read_with_its_splits_and_its_box() {
     assert!(open(&settings(root, 1)).unwrap_err().message().contains("states neither a matrix nor"));
 }
 
-/// The file of Metashape's export; the photograph 9 was not placed.
+/// Returns Metashape's export; photograph 9 was not placed.
 fn metashape(all: &[Camera], kind: &str, terms: &str) -> String {
     let cameras: String = all
         .iter()

@@ -1,5 +1,5 @@
-//! Scenes on disk, with one file changed at random, open or give an input error that names a file. `TRIMIP_FUZZ_CASES`
-//! is the number of cases of each test. `tests/tests/formats.rs` tests the readers alone.
+//! Fuzz tests: a scene on disk with one file changed at random either opens or gives an input error that names a file.
+//! `TRIMIP_FUZZ_CASES` is the number of cases of each test. `tests/tests/formats.rs` tests the readers on bytes in memory.
 
 use crate::common::{
     blender_scene,
@@ -21,7 +21,7 @@ enum Edit {
     Remove(Index, usize),
     /// Overwrites bytes with a text or the bytes of a number.
     Put(Index, Vec<u8>),
-    /// As `Put`, in place of a word or a line.
+    /// Like `Put`, but replaces a word or a line.
     Word(Index, Vec<u8>),
     Line(Index, Vec<u8>),
     Double(Index, usize),
@@ -99,19 +99,19 @@ fn edited(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
     bytes
 }
 
-/// The stated number of cases, or a number that takes a few seconds.
+/// Returns the stated number of cases, or a number that takes a few seconds.
 fn cases() -> u32 {
     std::env::var("TRIMIP_FUZZ_CASES").ok().and_then(|cases| cases.parse().ok()).unwrap_or(150)
 }
 
-/// Runs `law` on changes of one of `files` files.
+/// Runs `law` on random edits of one of `files` files.
 fn fuzz(cases: u32, files: usize, law: impl Fn(usize, Vec<Edit>) -> Result<(), TestCaseError>) {
     let config = ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() };
     let run = TestRunner::new(config).run(&(0..files, edits()), |(file, edits)| law(file, edits));
     run.unwrap_or_else(|failure| panic!("{failure}"));
 }
 
-/// Asserts that a user can act on an error.
+/// Asserts that an error is of kind `Input`, has one line, and contains one of `names`.
 fn assert_told(error: &Error, names: &[&str]) -> Result<(), TestCaseError> {
     prop_assert_eq!(error.kind(), ErrorKind::Input);
     prop_assert_eq!(error.kind(), ErrorKind::Input);
@@ -120,7 +120,7 @@ fn assert_told(error: &Error, names: &[&str]) -> Result<(), TestCaseError> {
     Ok(())
 }
 
-/// Writes changes of `files` in the scene at `root` and opens it.
+/// Opens the scene at `root` with random edits of one of `files`.
 fn scenes(root: &Path, files: &[&str]) {
     let whole: Vec<Vec<u8>> = files.iter().map(|name| fs::read(root.join(name)).unwrap()).collect();
     open(&settings(root, 1)).expect("the scene is valid before it is changed");
@@ -236,7 +236,8 @@ fn scenes_of_a_changed_nsvf_layout_open_or_tell() {
     scenes(root, &["intrinsics.txt", "bbox.txt", "pose/0_0001.txt"]);
 }
 
-/// An archive of a scene with some bytes changed. If it is refused, nothing of it is left, and nothing is written outside of its folder.
+/// Checks an archive of a scene with some bytes changed. If the archive is refused, nothing of it is left, and nothing
+/// is ever written outside of its folder.
 #[test]
 fn scenes_of_a_changed_archive_open_or_tell() {
     let folder = tempfile::tempdir().unwrap();

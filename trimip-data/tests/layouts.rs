@@ -1,4 +1,4 @@
-//! Layouts: one reads what another writes, and the views hold what the files say.
+//! Tests of layouts: a scene that one layout writes reads back the same, and the views are those that the files state.
 
 use crate::common::{assert_same, blender_scene, frame, save_image, settings, write};
 use serde_json::{Value, json};
@@ -70,7 +70,7 @@ fn frames_kept_back_are_tested_on_and_not_trained_on() {
     );
     assert_eq!(scene.train.pixels_of(0), whole.train.pixels_of(1));
     assert!(scene.description[0].contains("(one frame in 2 of"), "{}", scene.description[0]);
-    // The test split is not asked for.
+    // With `data.holdout`, the test split is not read, so it need not exist.
     config.test = "nowhere".into();
     assert!(open(&config).is_ok());
     config.train = vec!["train".into()];
@@ -102,7 +102,7 @@ fn an_undivided_file_holds_out_every_eighth_frame() {
     assert!(scene.train.views.iter().all(|view| view.camera.intrinsics.lens == bent));
 }
 
-/// A file without splits whose 16 cameras are on a ring, every 22.5° in order.
+/// Returns a transforms file without splits, whose 16 cameras lie on a ring, every 22.5° in order. Saves the photographs.
 fn ring(root: &Path) -> Value {
     let frames: Vec<Value> = (0..16)
         .map(|i| {
@@ -133,7 +133,7 @@ fn a_sector_of_the_cameras_is_held_out_where_the_files_state_no_test_frames() {
         );
         scene.test_views.into_iter().map(|(name, _)| name).collect()
     };
-    // One in eight: the first camera and one of its neighbours.
+    // One frame in eight is held out: the first camera and one of its neighbours.
     let two = tested(&config);
     assert!(two == ["0000", "0001"] || two == ["0000", "0015"], "{two:?}");
     for (holdout, expected) in [
@@ -155,7 +155,7 @@ fn a_sector_of_the_cameras_is_held_out_where_the_files_state_no_test_frames() {
     );
     assert!(!told("every 8th"), "{:?}", scene.description);
     assert!(open_test(&config).unwrap().frames.len() == scene.test.len());
-    // Given test frames are not replaced silently.
+    // Test frames that the file states are not replaced silently.
     config.holdout = 0;
     let names: Vec<String> = (0..16).map(|i| format!("images/{i:04}.png")).collect();
     (file["train_filenames"], file["test_filenames"]) = (json!(names[..12]), json!(names[12..]));
@@ -229,7 +229,7 @@ fn a_written_multiscale_set_reads_back_the_same() {
             assert_same(&ours.test.load(index).unwrap(), &theirs.test.load(index).unwrap());
         }
         assert_eq!(summary.images, ours.train.views.len() + ours.test.len() * config.scales as usize);
-        // Frames that are held out belong to the set like all others.
+        // The written set contains held-out frames like all others.
         let again = tempfile::tempdir().unwrap();
         let held = DataConfig { holdout: 2, ..config.clone() };
         assert_eq!(write_multiscale(&held, again.path(), &unwatched).unwrap().images, summary.images);
@@ -257,7 +257,7 @@ fn frames_and_their_views_have_the_names_of_photographs() {
     (builtin.builtin_size, builtin.builtin_train, builtin.builtin_test) = (8, 2, 2);
     let cases = [
         (settings(folder.path(), 2), ["r_0", "r_1"]),
-        // One name for the files of all scales.
+        // The files of all scales of a frame have one name.
         (settings(set.path(), 2), ["000", "001"]),
         (builtin, ["r_0", "r_1"]),
     ];

@@ -1,5 +1,5 @@
-//! LLFF captures: the rays of `poses_bounds.npy` are those of the same cameras in `transforms.json`, and data that do
-//! not fit are refused with their place.
+//! Tests of LLFF captures: the rays of `poses_bounds.npy` are those of the same cameras in `transforms.json`, and data
+//! that do not fit are refused with their place.
 
 use crate::common::{assert_same, save_image, settings, write};
 use glam::{DMat3, DVec3};
@@ -8,21 +8,21 @@ use std::{fs, path::Path};
 use trimip_data::open;
 use trimip_data::settings::DataConfig;
 
-/// Photographs of a capture.
+/// Number of photographs of a capture.
 const FRAMES: usize = 10;
 
 /// Width and height of the photographs, and their focal length in pixels.
 const SIZE: [u32; 2] = [16, 12];
 const FOCAL: f64 = 20.5;
 
-/// Rotation and place of a camera, OpenGL axes: right, up, backwards.
+/// Returns the rotation and the position of a camera, OpenGL axes: right, up, backwards.
 fn pose(index: usize) -> (DMat3, DVec3) {
     let turn = DMat3::from_rotation_y(0.1 * index as f64) * DMat3::from_rotation_x(0.3);
     (turn, DVec3::new(index as f64, -0.5, 4.25))
 }
 
-/// The row of a camera, literally as LLFF writes it: `[R | t | (h, w, f)]` row by row, then the bounds. The columns of R are
-/// down, right, backwards.
+/// Returns the row of a camera, as LLFF writes it: `[R | t | (h, w, f)]` row by row, then the bounds. The columns of R
+/// are down, right, backwards.
 fn row(index: usize) -> Vec<f64> {
     let (rotation, place) = pose(index);
     let [right, up, back] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
@@ -31,14 +31,14 @@ fn row(index: usize) -> Vec<f64> {
     rows.chain([1.5, 30.0]).collect()
 }
 
-/// A file of rows of f64.
+/// Returns a file of rows of f64.
 fn npy(rows: &[Vec<f64>]) -> Vec<u8> {
     let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 17), }}\n", rows.len());
     let start = [b"\x93NUMPY\x01\0", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
     start.into_iter().chain(rows.iter().flatten().flat_map(|value| value.to_le_bytes())).collect()
 }
 
-/// Writes a capture with photographs in a folder, whose size is `SIZE` divided by `by`.
+/// Writes a capture with photographs in a folder; their size is `SIZE` divided by `by`.
 fn capture(root: &Path, folder: &str, by: u32) {
     let rows: Vec<Vec<f64>> = (0..FRAMES).map(row).collect();
     fs::write(root.join("poses_bounds.npy"), npy(&rows)).unwrap();
@@ -83,8 +83,8 @@ fn rays_are_those_of_the_same_cameras_in_a_transforms_file() {
     assert!(ours.description.iter().any(|line| line.contains("1.500 to 30.000")), "{:?}", ours.description);
 }
 
-/// A ray of a corner by the literal equations of NeRF's `load_llff.py` and `get_rays`: the columns of the matrix become right,
-/// up, backwards, and a pixel's direction is that of ((x − w/2) / f, −(y − h/2) / f, −1).
+/// Checks a ray against the written-out equations of NeRF's `load_llff.py` and `get_rays`: the columns of the matrix
+/// become right, up, backwards, and a pixel's direction is that of ((x − w/2) / f, −(y − h/2) / f, −1).
 #[test]
 fn rays_are_those_of_the_code_of_nerf() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Masks: where they are found, their meaning, and the pixels that they do not keep.
+//! Tests of masks: where they are found, their meaning, and the pixels that they do not keep.
 
 use crate::common::{frame, settings, write};
 use image::{DynamicImage, ImageBuffer, Luma, Rgb};
@@ -36,7 +36,7 @@ fn middle(x: u32, y: u32) -> bool {
     (4..12).contains(&x) && (3..9).contains(&y)
 }
 
-/// A scene of four photographs `images/a/0.png` .. whose left parts are `garbage`; `edit` changes its frames.
+/// Writes a scene of four photographs `images/a/0.png` .. whose left parts have the colour `garbage`; `edit` changes its frames.
 fn scene(root: &Path, garbage: [u8; 3], edit: impl Fn(usize, &mut Value)) {
     let mut frames = Vec::new();
     for i in 0..4 {
@@ -99,13 +99,13 @@ fn masks_are_found_wherever_tools_put_them_and_mean_what_they_mean_there() {
             assert!(line.contains(part), "case {number}: {part}: {line}");
         }
         assert!(!found.warnings.iter().any(|warning| warning.contains("mask of")), "{:?}", found.warnings);
-        // Test frames are masked as training frames are.
+        // Test frames are masked like training frames.
         let test = open_test(&config).unwrap().frames.load(0).unwrap();
         assert_eq!(
             (test.alpha, test.pixels_of(0)[3], test.pixels_of(0)[8]),
             (alpha, [0; 4], [80, 0, 200, 255])
         );
-        // A photograph may be trained and tested on.
+        // A photograph may be in the training and the test split.
         let both =
             with(root, |c| (c.train, c.masks) = (vec!["train".into(), "test".into()], config.masks.clone()));
         assert_eq!(open(&both).unwrap().train.alpha, alpha);
@@ -133,7 +133,8 @@ fn colours_of_what_is_not_kept_have_no_part_in_any_pixel() {
         });
         assert!(sets[0].pixels == sets[1].pixels && sets[0].pixels == sets[2].pixels);
         if role == MaskRole::Ignore {
-            // Column 3 of scale 1/2 is half kept, and its colour is that of the kept half: 10·7 and the mean of rows 0, 1.
+            // At scale 1/2, column 3 covers the masked column 6 and the kept column 7. Its colour is that of column 7:
+            // red 10·7, and green the mean of rows 0 and 1.
             let view = sets[0].scales[1].views.start;
             assert_eq!(sets[0].pixels_of(view)[3], [70, 10, 200, 128]);
         }
@@ -149,7 +150,7 @@ fn settings_override_polarity_and_role() {
     assert_eq!((pixel(&black, 3, 2), pixel(&black, 8, 2)), ([1, 2, 3, 255], [0; 4]));
     let ignored = with(folder.path(), |config| config.mask_role = MaskRole::Ignore);
     assert_eq!(open(&ignored).unwrap().train.alpha, Alpha::Kept);
-    // The multi-scale layout can say what is empty, not what is unknown.
+    // The multi-scale layout can store empty space, but not unknown pixels.
     let out = tempfile::tempdir().unwrap();
     let error = write_multiscale(&ignored, &out.path().join("a"), &unwatched).unwrap_err();
     assert!(
@@ -181,7 +182,7 @@ fn masks_that_look_wrong_are_told() {
     assert!(inverted.contains("are they inverted? see data.mask_keeps"), "{inverted}");
     assert!(!warnings(&with(root, |config| config.mask_keeps = MaskKeeps::Black)).contains("inverted"));
     assert!(!warnings(&with(root, |config| config.mask_role = MaskRole::Ignore)).contains("inverted"));
-    // Frames 1 to 3 are for training.
+    // Frames 1 to 3 are training frames.
     write(&|i, x, y| i == 1 || (i == 3 && middle(x, y)));
     let odd = warnings(&with(root, |_| ()));
     assert!(odd.contains("keep nothing of the photograph: 1, the first that of 2"), "{odd}");
@@ -193,7 +194,7 @@ fn masks_that_look_wrong_are_told() {
         missing.contains("1 of 4 photographs, the first 3, have no mask and are kept whole"),
         "{missing}"
     );
-    // A folder of masks that fits no photograph gives a warning: its owner expects it to count.
+    // A folder of masks that fits no photograph gives a warning, because its owner expects the masks to be used.
     (0..3).for_each(|i| std::fs::remove_file(root.join(format!("masks/{i}.png"))).unwrap());
     mask(&root.join("masks/mask_0.png"), SIZE, middle);
     assert!(warnings(&with(root, |_| ())).contains("holds no mask of a photograph"));

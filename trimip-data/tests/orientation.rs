@@ -1,4 +1,4 @@
-//! Photographs as cameras store them: orientation tags, formats that are not read, names that belie the format.
+//! Tests of photographs as cameras store them: orientation tags, formats that are not read, names with the extension of another format.
 
 use crate::common::{blender_scene, frame, save_image, settings, write};
 use image::{
@@ -9,12 +9,12 @@ use serde_json::{Value, json};
 use std::{fs, path::Path};
 use trimip_data::{Scene, inspect, open, unwatched};
 
-/// An EXIF block with nothing but an orientation.
+/// Returns an EXIF block with nothing but an orientation.
 fn exif(orientation: u8) -> Vec<u8> {
     [&b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0"[..], &[orientation], &[0; 6]].concat()
 }
 
-/// Pixel (x, y) is (x, y, 9).
+/// Returns a picture whose pixel (x, y) is (x, y, 9).
 fn picture(width: u32, height: u32) -> DynamicImage {
     ImageBuffer::from_fn(width, height, |x, y| Rgb([x as u8, y as u8, 9])).into()
 }
@@ -35,7 +35,7 @@ fn save(path: &Path, width: u32, height: u32, orientation: u8) {
     fs::write(path, bytes).unwrap();
 }
 
-/// A scene of three photographs of one stored size and tag; `stated` is their size in the file.
+/// Opens a scene of three photographs of one stored size and tag; `stated` is their size in the file.
 fn scene(root: &Path, extension: &str, stored: (u32, u32), orientation: u8, stated: Value) -> Scene {
     let names: Vec<String> = (0..3).map(|i| format!("images/{i}.{extension}")).collect();
     names.iter().for_each(|name| save(&root.join(name), stored.0, stored.1, orientation));
@@ -46,7 +46,7 @@ fn scene(root: &Path, extension: &str, stored: (u32, u32), orientation: u8, stat
     open(&settings(root, 1)).unwrap()
 }
 
-/// Width, height, and the pixel of the upper left corner.
+/// Returns width, height, and the pixel of the upper left corner.
 fn corner(scene: &Scene) -> (u32, u32, [u8; 4]) {
     let k = &scene.train.views[0].camera.intrinsics;
     (k.width, k.height, scene.train.pixels_of(0)[0])
@@ -55,7 +55,7 @@ fn corner(scene: &Scene) -> (u32, u32, [u8; 4]) {
 #[test]
 fn a_photograph_is_turned_only_if_the_stated_size_asks_for_it() {
     let told = |scene: &Scene| scene.warnings.iter().any(|warning| warning.contains("EXIF orientation"));
-    // Orientation 6: the stored picture is to be turned by 90° clockwise, which brings its lower left corner up.
+    // Orientation 6: the stored picture is to be turned by 90° clockwise, which moves its lower left corner to the upper left.
     let cases = [
         (6, json!({ "w": 20, "h": 12 }), (20, 12, [0, 0, 9, 255]), false),
         (6, json!({ "w": 12, "h": 20 }), (12, 20, [0, 11, 9, 255]), false),
@@ -83,7 +83,7 @@ fn jpegs_are_turned_as_pngs_are() {
     let turned = scene(folder.path(), "jpg", (32, 16), 6, json!({ "w": 16, "h": 32 }));
     let (width, height, [x, y, ..]) = corner(&turned);
     assert_eq!((width, height), (16, 32));
-    // Within the loss of the format.
+    // Equal up to the loss of the format.
     assert!(x.abs_diff(0) <= 4 && y.abs_diff(15) <= 4, "{x} {y}");
 }
 
@@ -102,7 +102,7 @@ fn formats_that_are_not_read_are_named_with_what_converts_them() {
     for part in ["frame 1 (./train/r_1)", "r_1.png is a HEIC image, which is not read", "heif-convert"] {
         assert!(inside.contains(part), "{part}: {inside}");
     }
-    // Phones write IMG.HEIC, and the entries name files that were converted on another machine.
+    // Phones write IMG.HEIC, but the entries name files that were converted on another machine.
     let beside = error(&|root| {
         fs::remove_file(root.join("train/r_1.png")).unwrap();
         fs::write(root.join("train/r_1.HEIC"), heic).unwrap();

@@ -1,4 +1,4 @@
-//! Captures of phones: the same cameras as Record3D, ARKitScenes and NeRFCapture write them, and broken files.
+//! Tests of captures of phones: the same cameras as Record3D, ARKitScenes and NeRFCapture write them, and broken files.
 
 use crate::common::{
     ring::{arkitscenes, assert_cameras, cameras, pinhole, save_images},
@@ -10,14 +10,14 @@ use std::{fs, path::Path};
 use trimip_core::Camera;
 use trimip_data::open;
 
-/// The message of a folder that is refused.
+/// Returns the message with which a folder is refused.
 fn refused(root: &Path) -> String {
     let error = open(&settings(root, 1)).unwrap_err();
     assert!(error.kind() == trimip_core::ErrorKind::Input && !error.message().contains('\n'), "{error}");
     error.message()
 }
 
-/// The file of Record3D: `K` column by column.
+/// Returns the file of Record3D: `K` is written column by column.
 fn record3d(all: &[Camera]) -> Value {
     let pose = |camera: &Camera| {
         let q = DQuat::from_mat3(&camera.rotation);
@@ -33,7 +33,7 @@ fn record3d(all: &[Camera]) -> Value {
 #[test]
 fn captures_of_record3d_are_read() {
     let all = cameras(pinhole());
-    // The names of the file and of the folder, and the digits in names of photographs.
+    // The names of the file and of the folder, and the number of digits in names of photographs.
     for (file, folder, zeros) in [
         ("metadata.json", "rgb", 1),
         ("metadata", "rgbd", 1),
@@ -54,7 +54,7 @@ fn captures_of_record3d_are_read() {
     own["perFrameIntrinsicCoeffs"] = json!(vec![[51.5, 52.5, 29.0, 21.0]; 9]);
     write(&root.join("metadata.json"), &own);
     assert_cameras(&open(&settings(root, 1)).unwrap(), &all);
-    // Half as large as the file states.
+    // The photographs are half as large as the file states.
     (0..9).for_each(|i| save_image(&root.join(format!("rgb/{i}.png")), 30, 20));
     let scene = open(&settings(root, 1)).unwrap();
     assert_eq!(scene.train.views[0].camera.intrinsics.fx, 25.75);
@@ -104,7 +104,7 @@ fn broken_captures_of_record3d_are_named() {
     assert!(refused(root).contains("metadata.json:1:"), "{}", refused(root));
     write(&path, &good);
     fs::remove_file(root.join("rgb/4.png")).unwrap();
-    // One that was deleted is left out.
+    // A photograph that was deleted is left out of the scene.
     let scene = open(&settings(root, 1)).unwrap();
     assert_eq!(scene.train.views.len() + scene.test.len(), 8);
     assert!(
@@ -126,7 +126,7 @@ fn scenes_of_arkitscenes_are_read() {
     let root = folder.path();
     let trajectory = arkitscenes(root, &all);
     assert_cameras(&open(&settings(root, 1)).unwrap(), &all);
-    // Two photographs between poses.
+    // Two photographs were taken between poses.
     for time in ["305.350", "305.750"] {
         save_image(&root.join(format!("lowres_wide/41069021_{time}.png")), 60, 40);
     }
@@ -170,7 +170,7 @@ fn scenes_of_arkitscenes_are_read() {
     assert!(refused(root).contains("has no frame with a pose"), "{}", refused(root));
 }
 
-/// Photographs without ending, and depth images with almost the same names.
+/// Checks entries that name photographs without their ending, next to depth images with almost the same names.
 #[test]
 fn captures_of_nerfcapture_are_blender_layouts() {
     let all = cameras(pinhole());

@@ -1,4 +1,5 @@
-//! Photographs in WebP, TIFF and BMP: the same pixels as in PNG, found by their names, and refused where they are broken.
+//! Tests of photographs in WebP, TIFF and BMP: they have the same pixels as in PNG, are found by their names, and are
+//! refused if they are broken.
 
 use crate::common::{assert_same, frame, save_image, settings, write};
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb, Rgba};
@@ -19,7 +20,7 @@ fn bytes(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// The pixels of a file.
+/// Returns the pixels of a file.
 fn pixels(bytes: &[u8]) -> Vec<u8> {
     photograph("a file", bytes).unwrap().2
 }
@@ -52,13 +53,13 @@ fn sixteen_bits_of_tiff_are_rounded_to_the_nearest_eight() {
     assert_eq!(pixels(&bytes(soft, ImageFormat::Tiff)), [r, g, b, a].repeat(6));
 }
 
-/// The bytes that hexadecimal digits write.
+/// Decodes hexadecimal digits to bytes.
 fn hexadecimal(digits: &str) -> Vec<u8> {
     let digit = |byte: u8| char::from(byte).to_digit(16).unwrap() as u8;
     digits.as_bytes().chunks_exact(2).map(|pair| 16 * digit(pair[0]) + digit(pair[1])).collect()
 }
 
-/// 16 × 12 pixels of (200, 60, 20) as libwebp compresses them with loss, opaque and with alpha 128.
+/// Checks images of 16 × 12 pixels of (200, 60, 20) that libwebp compressed with loss, opaque and with alpha 128.
 #[test]
 fn webp_with_loss_is_read() {
     for (digits, alpha) in [(OPAQUE, 255), (SOFT, 128)] {
@@ -77,7 +78,7 @@ const SOFT: &str = "524946466000000057454250565038580a000000100000000f00000b0000
     34000000d001009d012a10000c0000c01225a00274ba01f80003b000fef36997feef37ee7cfdcf9ff17bffeb60feb60f\
     eb60ffeb40000000";
 
-/// A scene of ten frames whose entries have the ending `named`, and whose photographs have the ending `stored`.
+/// Opens a scene of ten frames whose entries have the ending `named`, and whose photographs have the ending `stored`.
 fn scene(root: &Path, named: &str, stored: &str) -> Result<Scene, String> {
     (0..10).for_each(|i| save_image(&root.join(format!("images/{i}{stored}")), 16, 12));
     let frames: Vec<Value> = (0..10).map(|i| frame(&format!("images/{i}{named}"))).collect();
@@ -124,7 +125,7 @@ fn broken_photographs_are_named() {
     }
 }
 
-/// A file that states more than it holds is refused before the memory is taken.
+/// Checks that a file that states more than it holds is refused before memory is allocated.
 #[test]
 fn webp_files_hold_the_parts_that_they_state() {
     let whole = hexadecimal(SOFT);
@@ -141,7 +142,7 @@ fn webp_files_hold_the_parts_that_they_state() {
     assert!(put(picture + 8, &[0xf0, 0xff, 0xff]).contains("a part ends beyond the file"));
 }
 
-/// Nested pictures of an animation, as deep as the file is long: checking them takes no more stack than one.
+/// Checks nested pictures of an animation, as deep as the file is long: they take no more stack than one picture.
 #[test]
 fn webp_pictures_hold_no_others() {
     let depth = 200_000_u32;
@@ -155,7 +156,7 @@ fn webp_pictures_hold_no_others() {
     assert!(message.contains("a picture of the animation contains another"), "{message}");
 }
 
-/// As for WebP, with both byte orders and both sizes of entries.
+/// Checks this for TIFF as for WebP, with both byte orders and both sizes of entries.
 #[test]
 fn tiff_files_hold_the_values_that_they_state() {
     let color = ImageBuffer::from_fn(19, 11, |x, y| Rgb([x as u8, y as u8, 9]));
@@ -169,7 +170,7 @@ fn tiff_files_hold_the_values_that_they_state() {
         let message = photograph("a file", &broken).unwrap_err().message();
         assert!(message.contains("the values of an entry end beyond the file"), "{message}");
     }
-    // An entry of 2^28 floats.
+    // A directory with an entry of 2^28 floats.
     let big = [
         &b"MM\0\x2b\0\x08\0\0\0\0\0\0\0\0\0\x10\0\0\0\0\0\0\0\x01\x01\0\0\x0b\0\0\0\0\x10\0\0\0"[..],
         &[0; 8],
@@ -182,7 +183,7 @@ fn tiff_files_hold_the_values_that_they_state() {
     }
 }
 
-/// Wherever a file ends, no pixels are made up.
+/// Checks that no pixels are made up, wherever a file ends.
 #[test]
 fn truncated_files_are_errors_wherever_pixels_are_missing() {
     let image = ImageBuffer::from_fn(33, 17, |x, y| Rgb([(x * 7) as u8, (y * 13) as u8, (x * y) as u8]));

@@ -1,5 +1,5 @@
-//! Every registered camera model in files: transforms, multi-scale sets and COLMAP models, read, written and read again; and the
-//! built-in scene through its cameras. A new model is tested without a line here.
+//! Tests of every registered camera model: transforms files, multi-scale sets and COLMAP models are read, written and
+//! read again, and the built-in scene is rendered through its cameras. A new model is tested without a change here.
 
 use crate::common::{colmap::Sparse, save_image};
 use glam::DVec3;
@@ -9,7 +9,7 @@ use trimip_core::{Camera, Intrinsics, geometry::projections::Model};
 use trimip_data::settings::{DataConfig, Finish};
 use trimip_data::{builtin, lens_terms, unwatched};
 
-/// A camera of each model around the built-in scene.
+/// Returns a camera of each model around the built-in scene.
 fn cameras(width: u32, height: u32) -> Vec<Camera> {
     let camera = |model: &Model| {
         let k = model.example(width, height);
@@ -19,7 +19,7 @@ fn cameras(width: u32, height: u32) -> Vec<Camera> {
     Model::ALL.iter().map(camera).collect()
 }
 
-/// A frame of a transforms file as a camera, with its own keys.
+/// Returns the frame of a transforms file for a camera, with its own keys.
 fn frame(name: &str, camera: &Camera) -> Value {
     let (k, r, o) = (camera.intrinsics, camera.rotation.transpose().to_cols_array_2d(), camera.origin);
     let row = |i: usize| json!([r[i][0], r[i][1], r[i][2], o[i]]);
@@ -34,7 +34,7 @@ fn frame(name: &str, camera: &Camera) -> Value {
     frame
 }
 
-/// Pictures of the built-in scene and their transforms files, one frame of each model.
+/// Writes pictures of the built-in scene and their transforms files, with one frame of each model.
 fn write(folder: &Path) -> Vec<Camera> {
     let all = cameras(24, 16);
     for split in ["train", "test"] {
@@ -67,7 +67,7 @@ fn data(folder: &Path, format: &str) -> DataConfig {
     data
 }
 
-/// The cameras of all training views, fine to coarse.
+/// Returns the cameras of all training views, fine to coarse.
 fn read(data: &DataConfig) -> Vec<Camera> {
     let scene = trimip_data::open(data).unwrap();
     scene.train.views.iter().map(|view| view.camera).collect()
@@ -109,7 +109,7 @@ fn state(folder: &Path, file: &Value, own: &Value) -> DataConfig {
     DataConfig { scales: 1, ..data(folder, "blender") }
 }
 
-/// The camera of a file with these keys.
+/// Returns the camera of a file with these keys.
 fn stated(file: Value, own: Value) -> trimip_core::Result<Camera> {
     let folder = tempfile::tempdir().unwrap();
     let scene = trimip_data::open(&state(folder.path(), &file, &own))?;
@@ -184,7 +184,7 @@ fn models_of_colmap_are_those_of_the_registry() {
 
 #[test]
 fn an_orthographic_camera_is_stated_by_pixels_a_unit_or_by_its_width() {
-    // The longer side of 24 pixels is 3 units wide. The angle of a lens that is not in use has no effect.
+    // The longer side of 24 pixels is 3 units wide. An angle of view has no effect on an orthographic camera.
     let scale = json!({ "camera_model": "ORTHOGRAPHIC", "ortho_scale": 3.0, "camera_angle_x": 0.7 });
     let k = stated(scale.clone(), json!({})).unwrap().intrinsics;
     assert_eq!((k.lens.model, k.fx, k.fy, k.cx, k.cy), (Model::Orthographic, 8.0, 8.0, 12.0, 8.0));

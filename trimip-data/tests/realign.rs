@@ -1,4 +1,4 @@
-//! COLMAP models with detached parts: a room that a model shows twice.
+//! Tests of COLMAP models with detached parts: a room that a model contains twice.
 
 use crate::common::{colmap::Sparse, settings};
 use glam::{DMat3, DQuat, DVec3};
@@ -10,13 +10,13 @@ use trimip_data::{Scene, open, settings::DataConfig};
 const SIZE: [u32; 2] = [240, 180];
 const FOCAL: f64 = 200.0;
 const FRAMES: usize = 32;
-/// The first frames are those of the detached part.
+/// Number of frames of the detached part, which come first.
 const PART: usize = 10;
 
-/// Half the sides of a room around the origin.
+/// Half the side lengths of a room around the origin.
 const ROOM: DVec3 = DVec3::new(2.0, 1.8, 1.4);
 
-/// Smooth noise of cells of this size, in [0, 1].
+/// Returns smooth noise with cells of this size, in [0, 1].
 fn noise(at: DVec3, cell: f64) -> f64 {
     let at = at / cell;
     let (low, part) = (at.floor(), at - at.floor());
@@ -36,20 +36,21 @@ fn noise(at: DVec3, cell: f64) -> f64 {
     sum
 }
 
-/// Brightness of the walls: no two places look alike.
+/// Returns the brightness of the walls: no two places look alike.
 fn shade(at: DVec3) -> f64 {
     0.5 * noise(at, 0.11)
         + 0.3 * noise(at + DVec3::splat(7.3), 0.23)
         + 0.2 * noise(at - DVec3::splat(3.1), 0.6)
 }
 
-/// The point at which a ray from within the room meets a wall.
+/// Returns the point at which a ray from within the room meets a wall.
 fn wall(origin: DVec3, direction: DVec3) -> DVec3 {
     let t = (0..3).map(|axis| (ROOM[axis] * direction[axis].signum() - origin[axis]) / direction[axis]);
     origin + t.fold(f64::INFINITY, f64::min) * direction
 }
 
-/// World-to-camera rotation (x right, y down, z ahead) and centre of a frame: a walk on a circle that looks outwards.
+/// Returns the world-to-camera rotation (x right, y down, z ahead) and the centre of a frame, on a walk along a circle
+/// with the camera turned outwards.
 fn pose(frame: usize) -> (DMat3, DVec3) {
     let angle = frame as f64 / FRAMES as f64 * std::f64::consts::TAU;
     let ahead = DVec3::new(angle.cos(), angle.sin(), -0.1 + 0.1 * (3.0 * angle).sin()).normalize();
@@ -58,7 +59,7 @@ fn pose(frame: usize) -> (DMat3, DVec3) {
     (DMat3::from_cols(right, ahead.cross(right), ahead).transpose(), centre)
 }
 
-/// The pixel at which a frame sees a place.
+/// Returns the pixel at which a frame sees a place.
 fn seen([rotation, centre]: [DMat3; 2], at: DVec3) -> Option<[f64; 2]> {
     let local = rotation * (at - centre.x_axis);
     let [x, y] = [0, 1].map(|i| FOCAL * local[i] / local.z + 0.5 * f64::from(SIZE[i]));
@@ -75,7 +76,7 @@ fn photograph(frame: usize) -> GrayImage {
     })
 }
 
-/// Scale, rotation and shift of the room around the frames of the detached part.
+/// Returns scale, rotation and shift of the room around the frames of the detached part.
 fn apart(is_torn: bool) -> (f64, DMat3, DVec3) {
     match is_torn {
         true => (
@@ -87,7 +88,7 @@ fn apart(is_torn: bool) -> (f64, DMat3, DVec3) {
     }
 }
 
-/// The model of the room; torn if frames of the part share no point with the others.
+/// Returns the model of the room. If it is torn, frames of the detached part share no point with the others.
 fn model(is_torn: bool) -> Sparse {
     let (scale, turn, shift) = apart(is_torn);
     let mut sparse = Sparse::default();
@@ -124,7 +125,7 @@ fn model(is_torn: bool) -> Sparse {
         if track.len() > 1 {
             sparse.points.push((number, at.to_array(), [9, 9, 9], 0.2, track));
         } else {
-            // Features of no point.
+            // If too few frames see a point, its features belong to no point.
             let lone = sparse.images.iter_mut().flat_map(|image| image.5.iter_mut());
             lone.filter(|(_, point)| *point == number as i64).for_each(|(_, point)| *point = -1);
         }
@@ -164,7 +165,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
     scene.train.views.iter().map(|view| view.camera).collect()
 }
 
-/// Largest error of the distances and angles between pairs of cameras, in units of the truth and in radians.
+/// Returns the largest error of the distances (in units of the truth) and angles (radians) between pairs of cameras.
 fn misplaced(cameras: &[Camera], frames: &[usize]) -> f64 {
     let truth = |i: usize| pose(frames[i]);
     let half = cameras.len() / 2;
@@ -183,7 +184,7 @@ fn misplaced(cameras: &[Camera], frames: &[usize]) -> f64 {
     worst
 }
 
-/// Training frames: all but every eighth in the order of their names.
+/// Returns the training frames: all except every eighth in the order of their names.
 fn trained() -> Vec<usize> {
     let mut frames: Vec<usize> = (0..FRAMES).collect();
     frames.sort_by_key(|frame| format!("walk{frame}"));
@@ -208,7 +209,7 @@ fn a_part_that_stands_apart_is_aligned() {
     }
     let worst = misplaced(&cameras(&aligned), &trained());
     assert!(worst < 0.01, "{worst} of a room 4 wide");
-    // Points of both parts are joined: those of a wall lie at the wall, not at its copy.
+    // Points of both parts are joined: the points of a wall lie at the wall, not at its copy.
     let far =
         aligned.points.iter().filter(|point| DVec3::from(point.position).abs().max_element() > 2.3).count();
     assert!(20 * far < aligned.points.len(), "{far} of {}", aligned.points.len());
@@ -231,7 +232,7 @@ fn a_model_in_one_piece_stays() {
     assert!(misplaced(&cameras(&on), &trained()) < 1e-6);
 }
 
-/// Without evidence in the photographs, which are black, nothing is moved.
+/// Checks that nothing is moved without evidence in the photographs, which are black.
 #[test]
 fn a_part_whose_photographs_show_nothing_in_common_stays() {
     let folder = tempfile::tempdir().unwrap();

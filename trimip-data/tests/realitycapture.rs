@@ -1,5 +1,5 @@
-//! Camera parameters of RealityCapture and RealityScan: a line is read as RealityCapture's own formulas say, and errors
-//! name what is broken.
+//! Tests of camera parameters of RealityCapture and RealityScan: a line is read as RealityCapture's own formulas say,
+//! and errors name what is broken.
 
 use crate::common::{save_image, settings};
 use glam::{DMat3, DVec3};
@@ -9,13 +9,14 @@ use trimip_data::open;
 
 const HEADER: &str = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2";
 
-/// Place, heading, pitch and roll of nine cameras.
+/// Returns position, heading, pitch and roll of one of nine cameras.
 fn placed(index: usize) -> [f64; 6] {
     let i = index as f64;
     [40.0 + i, 130.0 - 2.0 * i, 6.5 + 0.25 * i, 170.0 - 25.0 * i, 85.0 + i, -22.5 + 3.0 * i]
 }
 
-/// World-to-camera with x right, y down and z forward, from yaw, pitch and roll in degrees: the matrix that RealityCapture's support gives.
+/// Returns the world-to-camera rotation with x right, y down and z forward, from yaw, pitch and roll in degrees: the
+/// matrix that RealityCapture's support gives.
 fn formula([yaw, pitch, roll]: [f64; 3]) -> DMat3 {
     let [(sx, cx), (sy, cy), (sz, cz)] = [roll, pitch, yaw].map(|angle: f64| angle.to_radians().sin_cos());
     DMat3::from_cols_array(&[
@@ -32,7 +33,7 @@ fn formula([yaw, pitch, roll]: [f64; 3]) -> DMat3 {
     .transpose()
 }
 
-/// A file with these last columns.
+/// Returns a file with these last columns.
 fn export(header: &str, tail: &str) -> String {
     let row = |index: usize| {
         let numbers = placed(index).map(|number| number.to_string()).join(",");
@@ -74,7 +75,7 @@ fn camera_parameters_are_read_by_the_formulas_of_realitycapture() {
             assert!(apart.to_cols_array().iter().all(|entry| entry.abs() < 1e-9), "{own:?} {to_camera:?}");
             let Intrinsics { width, height, fx, fy, cx, cy, lens } = view.camera.intrinsics;
             assert_eq!(([width, height], lens), (size, expected));
-            // The longer side is 60 pixels, and 36 millimetres of film.
+            // The longer side is 60 pixels, which stand for 36 millimetres of film.
             let found = [fx, fy, cx - 0.5 * f64::from(width), cy - 0.5 * f64::from(height)];
             let stated = [24.5 * 60.0 / 36.0, 24.5 * 60.0 / 36.0, centre[0] * 60.0, centre[1] * 60.0];
             assert!(found.iter().zip(stated).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?} {stated:?}");

@@ -1,5 +1,5 @@
-//! The shared photographs: the public multi-scale set bit for bit, and scenes of other origins. Without the folder
-//! (`TRIMIP_SHARED`) each test says so and passes.
+//! Tests on the shared photographs: the public multi-scale set bit for bit, and scenes from other sources. If the
+//! folder (`TRIMIP_SHARED`) does not exist, each test prints that and passes.
 
 use crate::common::{settings, shared};
 use glam::DVec3;
@@ -34,7 +34,7 @@ fn levels_are_the_public_converters_bit_for_bit() {
 #[test]
 fn metadata_gives_the_cameras_of_the_scene_it_was_made_from() {
     let (Some(lego), Some(reference)) = (shared("lego"), shared("lego_multiscale_ref")) else { return };
-    // The sample's finest images are those of the scene itself.
+    // The finest images of the sample are those of the scene itself.
     let folder = tempfile::tempdir().unwrap();
     for split in ["train", "test"] {
         let images = format!("images_{split}");
@@ -91,13 +91,13 @@ fn photographs_with_their_own_cameras_are_read() {
     }
 }
 
-/// The median of some numbers.
+/// Returns the median of some numbers.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }
 
-/// Distances in pixels between each point of a scene through its cameras and the places where COLMAP saw it.
+/// Returns for each point of a scene the distances in pixels between its projections and the places where COLMAP saw it.
 fn misses(scene: &Scene) -> Vec<Vec<f64>> {
     let missed = |position: [f64; 3], camera: &Camera, at: [f64; 2]| {
         let local = camera.rotation.transpose() * (DVec3::from(position) - camera.origin);
@@ -117,7 +117,7 @@ fn misses(scene: &Scene) -> Vec<Vec<f64>> {
 fn a_model_of_colmap_sees_its_points_where_colmap_did() {
     let Some(fox) = shared("fox") else { return };
     let [binary, text] = ["bin", "txt"].map(|kind| {
-        // The scene named by its model: photographs are found above it.
+        // The scene is named by the folder of its model, and the photographs are found above it.
         let config = DataConfig {
             train: vec!["train".into(), "test".into()],
             format: "colmap".into(),
@@ -132,11 +132,11 @@ fn a_model_of_colmap_sees_its_points_where_colmap_did() {
     }
     assert_eq!((binary.points.len(), &binary.points), (12_453, &text.points));
     assert_eq!(binary.stated, text.stated);
-    // The photographs are halved until they fit, and places with them; errors are in pixels of the originals.
+    // The photographs are halved until they fit, and places in them are scaled too; errors are in pixels of the original photographs.
     let finest = f64::from(1080 / binary.train.views[0].camera.intrinsics.width);
     let misses: Vec<Vec<f64>> =
         misses(&binary).into_iter().map(|own| own.iter().map(|miss| miss * finest).collect()).collect();
-    // COLMAP's error of a point is the mean of its misses; the file states places in thousandths of a pixel.
+    // COLMAP's error of a point is the mean of the point's distances; the file states places in thousandths of a pixel.
     for (point, misses) in binary.points.iter().zip(&misses) {
         let mean = misses.iter().sum::<f64>() / misses.len() as f64;
         assert!((mean - point.error.unwrap()).abs() < 2e-3, "{mean} {point:?}");

@@ -1,5 +1,5 @@
-//! The built-in scene: ray-traced views of checkers, stripes, thin rods and glossy objects within [-1.2, 1.2]³, z up, on
-//! a transparent background. Exact intersections, a regular grid of rays per pixel, no random numbers.
+//! The built-in scene: ray-traced views of checkers, stripes, thin rods and glossy objects within [-1.2, 1.2]³, z up, on a
+//! transparent background. Ray intersections are exact, each pixel has a regular grid of rays, and there are no random numbers.
 
 mod paint;
 mod scene;
@@ -14,30 +14,31 @@ use rayon::prelude::*;
 use std::f64::consts::TAU;
 use trimip_core::{Camera, Intrinsics};
 
-/// Its value of `data.format`.
+/// Value of `data.format` for the built-in scene.
 pub const FORMAT: &str = "builtin";
 
-/// Horizontal field of view in radians, that of NeRF-synthetic.
+/// Horizontal field of view of NeRF-synthetic, radians.
 pub const CAMERA_ANGLE_X: f64 = 0.691_111_207_008_361_8;
-/// Distance of the cameras from the origin, about that of NeRF-synthetic.
+/// Distance of the cameras from the origin, about the same as in NeRF-synthetic.
 pub const CAMERA_RADIUS: f64 = 4.03;
 /// π·(3 − √5), the golden angle: it spreads any number of points evenly.
 const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
 
-/// A camera that looks at the origin from `radius`, `elevation` above the plane z = 0 and turned by `azimuth` from the
-/// x axis towards y (radians); z is up in the image. Elevations of ±π/2 and beyond have no upright orientation.
+/// Returns a camera at the distance `radius` from the origin that looks at the origin. Seen from there, it is
+/// `elevation` above the plane z = 0 and turned by `azimuth` from the x axis towards y (radians). z is up in the image;
+/// elevations of ±π/2 and beyond have no upright orientation.
 pub fn orbit(intrinsics: Intrinsics, radius: f64, elevation: f64, azimuth: f64) -> Camera {
     let (up, out) = elevation.sin_cos();
     let origin = radius * DVec3::new(out * azimuth.cos(), out * azimuth.sin(), up);
     Camera::look_at(intrinsics, origin, DVec3::ZERO, DVec3::Z)
 }
 
-/// `count` cameras on one turn around the origin, the first on the side of +x.
+/// Returns `count` cameras, evenly spaced on one turn around the origin; the first is on the side of +x.
 pub fn turntable(intrinsics: Intrinsics, radius: f64, elevation: f64, count: usize) -> Vec<Camera> {
     (0..count).map(|i| orbit(intrinsics, radius, elevation, TAU * i as f64 / count as f64)).collect()
 }
 
-/// Training cameras: a golden-angle spiral, uniform in area over the upper hemisphere.
+/// Returns the training cameras: a golden-angle spiral, uniform in area over the upper hemisphere.
 pub fn train_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
     (0..count)
         .map(|i| {
@@ -47,7 +48,7 @@ pub fn train_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
         .collect()
 }
 
-/// Test cameras: a ring at 30° with every fourth camera at 12° and every fourth at 55°.
+/// Returns the test cameras: a ring with elevations of 30°, 12°, 30° and 55° in turn.
 pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
     (0..count)
         .map(|i| {
@@ -62,9 +63,9 @@ pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
         .collect()
 }
 
-/// Straight 8-bit RGBA of the scene, row by row: the mean over `supersampling`² rays per pixel at the centres of a
-/// regular grid. Colour is the mean over the rays that hit, alpha their share; both are rounded. `finish` selects
-/// the glossy surfaces. `row` is called after each row, from any thread.
+/// Renders the scene to straight 8-bit RGBA, row by row. Each pixel has `supersampling`² rays at the centres of a
+/// regular grid: its colour is the mean over the rays that hit, its alpha their share; both are rounded. `finish`
+/// selects the glossy surfaces. `row` is called after each row, from any thread.
 pub fn render(camera: &Camera, supersampling: u32, finish: Finish, row: &(dyn Fn() + Sync)) -> Vec<[u8; 4]> {
     let k = camera.intrinsics;
     let n = supersampling.max(1);
@@ -86,7 +87,7 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8;
     let direction = |x: f64, y: f64| {
         (camera.rotation * DVec3::new((x - k.cx) / k.fx, -(y - k.cy) / k.fy, -1.0)).normalize()
     };
-    // Half the pixel's diagonal at unit depth bounds the angle between its rays and the central one.
+    // Half the pixel's diagonal at unit depth bounds the tangent of the angle between the pixel's rays and its central ray.
     let spread = 0.5 * k.fx.recip().hypot(k.fy.recip());
     let near = scene::near_line(camera.origin, direction(x + 0.5, y + 0.5), spread);
     if near == 0 {
@@ -106,7 +107,7 @@ fn render_pixel(camera: &Camera, x: f64, y: f64, n: u32, finish: Finish) -> [u8;
     mean(color, hits, step)
 }
 
-/// A pixel of a camera that is no pinhole, by `n` × `n` of its rays.
+/// Renders a pixel of a camera that is no pinhole, from `n` × `n` rays.
 fn render_cones(camera: &Camera, [x, y]: [f64; 2], n: u32, finish: Finish) -> [u8; 4] {
     let (mut color, mut hits) = (DVec3::ZERO, 0_u32);
     let step = f64::from(n).recip();
@@ -122,7 +123,7 @@ fn render_cones(camera: &Camera, [x, y]: [f64; 2], n: u32, finish: Finish) -> [u
     mean(color, hits, step)
 }
 
-/// The pixel of `hits` rays with the sum `color`; each ray covers `step`² of the pixel.
+/// Returns the pixel for `hits` rays whose colours add up to `color`; each ray covers `step`² of the pixel.
 fn mean(color: DVec3, hits: u32, step: f64) -> [u8; 4] {
     if hits == 0 {
         return [0; 4];
@@ -138,7 +139,7 @@ mod tests {
     use std::f64::consts::PI;
 
     fn difference(a: &[[u8; 4]], b: &[[u8; 4]]) -> f64 {
-        // On white, where the colour of a transparent pixel does not matter.
+        // Compares the images on white, where the colour of a transparent pixel does not matter.
         let white = |p: &[u8; 4]| {
             let a = f64::from(p[3]) / 255.0;
             [0, 1, 2].map(|c| f64::from(p[c]) / 255.0 * a + 1.0 - a)

@@ -1,20 +1,21 @@
-//! Colours over the surfaces of the built-in scene: checkers, rings, stripes and lines of letters, each finer than a
-//! coarse pixel somewhere. Lengths in world units, colours in [0, 1].
+//! Colour patterns on the surfaces of the built-in scene: checkers, rings, stripes and lines of letters, each finer
+//! somewhere than a pixel of a coarse scale. Lengths are in world units, colours in [0, 1].
 
 use glam::DVec3;
 use std::f64::consts::TAU;
 
-/// Colour over a surface.
+/// Colour pattern on a surface.
 #[derive(Clone, Copy)]
 pub(super) enum Paint {
     Plain(DVec3),
-    /// Checkers of a given side, seen from above; the wall of a drum is striped.
+    /// Checkers whose fields have this side, seen from above; the wall of a drum is striped.
     Checker(DVec3, DVec3, f64),
-    /// Rings around the z axis, a pair of them per period.
+    /// Rings around the z axis, with this period along z for a pair of rings.
     Rings(DVec3, DVec3, f64),
-    /// Stripes that wind up around the shape's axis: turns around, period along z.
+    /// Stripes that wind upwards around the shape's axis. The numbers are the pairs of stripes around the axis, and the
+    /// period of a pair along z.
     Helix(DVec3, DVec3, f64, f64),
-    /// Letters around an upright wall, smaller from line to line, and a plain top: ink, paper, radius and top of the wall.
+    /// Lines of letters around an upright wall, smaller from line to line, below a top of ink. `radius` and `top` are those of the wall.
     Letters {
         ink: DVec3,
         paper: DVec3,
@@ -23,7 +24,7 @@ pub(super) enum Paint {
     },
 }
 
-/// The text, five columns per letter, an empty column after each. The lowest bit of a column is at the top.
+/// The text as columns of dots: five columns per letter, and an empty column follows each letter. The lowest bit of a column is at the top.
 const WORD: [[u8; 5]; 10] = [
     [0x01, 0x01, 0x7f, 0x01, 0x01], // T
     [0x7f, 0x09, 0x19, 0x29, 0x46], // R
@@ -36,15 +37,15 @@ const WORD: [[u8; 5]; 10] = [
     [0x7f, 0x09, 0x09, 0x09, 0x01], // F
     [0x00, 0x00, 0x1c, 0x00, 0x00], // a dot between the last letter and the first
 ];
-/// Dots around the wall that one word takes.
+/// Width of a word in dots: six columns per letter.
 const WORD_DOTS: f64 = 60.0;
 /// Repetitions of the word around the wall, line by line from the top.
 const LINES: [f64; 6] = [1.0, 2.0, 3.0, 4.0, 6.0, 8.0];
-/// Dots from a line's top to the next one's: seven of a letter and the gap.
+/// Dots from the top of a line to the top of the next line: seven for a letter, two for the gap.
 const LINE_DOTS: f64 = 9.0;
 
 impl Paint {
-    /// Colour at a point of a surface with this normal.
+    /// Returns the colour at a point of a surface with this normal.
     pub(super) fn color(&self, point: DVec3, normal: DVec3) -> DVec3 {
         let odd = |value: f64| value.floor().rem_euclid(2.0) == 1.0;
         // On the axis of a round shape the angle comes from the normal.
@@ -81,8 +82,8 @@ impl Paint {
     }
 }
 
-/// True on the ink of the lines of letters: `turn` around the wall in turns, `down` from its top in dots of the first
-/// line. Below the last line all is ink.
+/// Returns true where the lines of letters have ink. `turn` is the position around the wall in turns, `down` the
+/// distance from its top in dots of the first line. Below the last line everything is ink.
 fn letters(turn: f64, down: f64) -> bool {
     let mut start = 2.0;
     for words in LINES {

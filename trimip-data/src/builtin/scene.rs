@@ -1,21 +1,21 @@
-//! The objects and lights of the built-in scene: patterns finer than a coarse pixel, lines of text, pins down to half a
-//! pixel, and a mirroring ball. Colours are image values in [0, 1].
+//! The objects and lights of the built-in scene: patterns finer than a pixel of a coarse scale, lines of text, pins
+//! that are down to half a pixel wide, and a mirroring ball. Colours are image values in [0, 1].
 
 use super::{Shape, paint::Paint};
 use crate::settings::Finish;
 use glam::DVec3;
 use std::{f64::consts::TAU, sync::LazyLock};
 
-/// Directions to the lights and their strengths; the first casts shadows.
+/// Directions to the lights, and the strengths of the lights; only the first light casts shadows.
 static LIGHTS: LazyLock<[(DVec3, f64); 2]> = LazyLock::new(|| {
     let light = |toward: [f64; 3], strength| (DVec3::from(toward).normalize(), strength);
     [light([0.55, -0.4, 0.85], 0.58), light([-0.7, 0.35, 0.4], 0.20)]
 });
-/// Ambient light from below, and what the sky adds to it.
+/// Ambient light from below, and the additional ambient light from above.
 const AMBIENT: (f64, f64) = (0.32, 0.14);
 
 const GROUND_TOP: f64 = -0.44;
-/// Reflectance from which a surface also reflects the other objects, not the environment alone.
+/// Reflectance from which a surface reflects the other objects in addition to the environment.
 const MIRROR: f64 = 0.5;
 
 struct Object {
@@ -100,17 +100,17 @@ static OBJECTS: LazyLock<Vec<Object>> = LazyLock::new(|| {
     objects
 });
 
-/// The solids of the scene.
+/// Returns the solids of the scene.
 pub fn shapes() -> impl Iterator<Item = Shape> {
     OBJECTS.iter().map(|object| object.shape)
 }
 
-/// Colour seen along a ray, `None` if it hits nothing; `origin` must lie outside every solid.
+/// Returns the colour seen along a ray, or `None` if the ray hits nothing; `origin` must lie outside every solid.
 pub fn radiance(origin: DVec3, direction: DVec3) -> Option<[f64; 3]> {
     radiance_of(u32::MAX, origin, direction.try_normalize()?, Finish::Mixed).map(|color| color.to_array())
 }
 
-/// Bit i is set where object i may be hit within the angle `spread` (its tangent) around a ray.
+/// Returns a set of bits: bit i is set if object i may be hit by a ray whose angle to this ray has a tangent of at most `spread`.
 pub(super) fn near_line(origin: DVec3, direction: DVec3, spread: f64) -> u32 {
     OBJECTS
         .iter()
@@ -118,7 +118,7 @@ pub(super) fn near_line(origin: DVec3, direction: DVec3, spread: f64) -> u32 {
         .fold(0, |near, (i, object)| near | u32::from(object.shape.near_line(origin, direction, spread)) << i)
 }
 
-/// Objects whose bits are set.
+/// Returns the objects whose bits are set.
 fn members(mut bits: u32) -> impl Iterator<Item = &'static Object> {
     let objects = &*OBJECTS;
     std::iter::from_fn(move || {
@@ -129,7 +129,7 @@ fn members(mut bits: u32) -> impl Iterator<Item = &'static Object> {
     })
 }
 
-/// [`radiance`] of the objects in `near`; shadows are cast by all.
+/// Returns the [`radiance`] of only the objects in `near`; shadows are cast by all objects.
 pub(super) fn radiance_of(near: u32, origin: DVec3, direction: DVec3, finish: Finish) -> Option<DVec3> {
     let mut first: Option<(f64, &Object)> = None;
     for object in members(near) {
@@ -158,7 +158,7 @@ impl Object {
         let mut highlight = 0.0;
         for (index, &(toward, strength)) in LIGHTS.iter().enumerate() {
             let facing = normal.dot(toward);
-            // Off the surface by more than a hit's rounding.
+            // The offset is larger than the rounding error of a hit.
             if facing <= 0.0 || (index == 0 && SHADOWS.covers(point + 1e-6 * normal)) {
                 continue;
             }
@@ -184,11 +184,11 @@ impl Object {
 static SHADOWS: LazyLock<ShadowMap> = LazyLock::new(ShadowMap::new);
 
 struct ShadowMap {
-    /// Unit vectors across the light's direction, and that direction.
+    /// `right` and `up` are unit vectors perpendicular to `toward`, the direction to the light.
     right: DVec3,
     up: DVec3,
     toward: DVec3,
-    /// Bits of objects for every cell of [-REACH, REACH]², row by row.
+    /// Bits of the objects that may shade each cell of [-REACH, REACH]², row by row.
     cells: Vec<u32>,
 }
 
@@ -214,7 +214,7 @@ impl ShadowMap {
         Self { right, up, toward, cells }
     }
 
-    /// True if a point is in shadow.
+    /// Returns true if a point is in shadow.
     fn covers(&self, point: DVec3) -> bool {
         let index = |along: DVec3| {
             let fraction = (point.dot(along) / Self::REACH + 1.0) * 0.5;
@@ -225,7 +225,7 @@ impl ShadowMap {
     }
 }
 
-/// The environment for reflections: a sky that brightens upwards, a warm floor, two soft windows.
+/// Returns the environment for reflections: a sky that brightens upwards, a warm floor, two soft windows.
 fn surroundings(direction: DVec3) -> DVec3 {
     let sky = DVec3::new(0.45, 0.62, 0.88).lerp(DVec3::new(0.92, 0.95, 1.0), direction.z.max(0.0));
     let floor = DVec3::new(0.42, 0.36, 0.30);
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn the_scene_lies_well_inside_its_box() {
-        // Rays across the box outside radius 1.2 hit nothing.
+        // Rays that pass the origin at a distance of 1.2 hit nothing.
         for i in 0..400 {
             let turn = 0.1 * f64::from(i);
             let side = DVec3::new(turn.cos(), turn.sin(), (0.37 * turn).sin()).normalize();
@@ -254,12 +254,12 @@ mod tests {
     #[test]
     fn the_ball_shines_differently_to_another_eye() {
         let center = DVec3::new(0.42, 0.44, GROUND_TOP + 0.36);
-        // Two eyes that see the same point of the ball.
+        // Two positions that see the same point of the ball.
         let point = center + 0.36 * DVec3::new(0.4, 0.6, 0.7).normalize();
         let seen = |from: DVec3| DVec3::from(radiance(from, point - from).expect("the ball is there"));
         let (a, b) = (seen(DVec3::new(2.0, 3.0, 2.0)), seen(DVec3::new(1.0, 3.0, 3.0)));
         assert!((a - b).length() > 0.03, "{a} {b}");
-        // A matt point has one colour, a lacquered point of the ground has several.
+        // A matt point has one colour from all directions; a lacquered point of the ground has several.
         let eyes = [DVec3::new(2.0, 3.0, 2.0), DVec3::new(1.0, 3.0, 3.0)];
         let change = |point: DVec3, finish| {
             let seen = |from: DVec3| radiance_of(u32::MAX, from, (point - from).normalize(), finish);
@@ -268,7 +268,7 @@ mod tests {
         };
         let ground = DVec3::new(-0.7, 0.5, GROUND_TOP);
         assert!(change(point, Finish::Matt) < 1e-9 && change(ground, Finish::Mixed) < 1e-9);
-        // More than two of 255.
+        // 0.01 is more than two steps of 1/255.
         assert!(change(ground, Finish::Lacquered) > 0.01, "{}", change(ground, Finish::Lacquered));
     }
 
@@ -291,7 +291,7 @@ mod tests {
         for i in 0..4000 {
             let i = f64::from(i);
             let point = DVec3::new((0.7 * i).sin(), (1.1 * i).cos(), 0.6 * (0.3 * i).sin());
-            // Points outside all objects; the map is never queried inside.
+            // Skips points inside an object: the map is never queried there.
             if shapes().any(|shape| shape.implicit(point) < 1e-6) || point.length() > 1.2 {
                 continue;
             }

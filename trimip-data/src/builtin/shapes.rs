@@ -1,8 +1,8 @@
-//! Solids with exact ray intersections: an ellipsoid, a capped upright cylinder and a capsule. World units.
+//! Solids with exact ray intersections: an ellipsoid, a capped upright cylinder and a capsule. Lengths are in world units.
 
 use glam::DVec3;
 
-/// Closer hits are the surface that a ray starts from.
+/// Least distance of a hit: closer hits are on the surface that the ray starts from.
 const SELF_HIT: f64 = 1e-9;
 
 /// A solid.
@@ -36,7 +36,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Distance along the unit `direction` to where a ray from outside enters.
+    /// Returns the distance along the unit vector `direction` at which a ray from outside enters the solid.
     pub fn hit(&self, origin: DVec3, direction: DVec3) -> Option<f64> {
         match *self {
             Self::Ellipsoid { center, radii } => {
@@ -51,7 +51,7 @@ impl Shape {
                     o.truncate().length_squared() - radius * radius,
                 )
                 .filter(|t| (o.z + t * direction.z).abs() <= half_height);
-                // The end that faces the ray; a horizontal ray hits neither (t is not finite).
+                // Only the end that faces the ray can be hit; a horizontal ray hits neither end (t is not finite).
                 let t = (-half_height.copysign(direction.z) - o.z) / direction.z;
                 let end = Some(t).filter(|&t| {
                     t > SELF_HIT && (o + t * direction).truncate().length_squared() <= radius * radius
@@ -61,11 +61,13 @@ impl Shape {
             Self::Capsule { start, end, radius } => {
                 let (axis, o) = (end - start, origin - start);
                 let (length, along) = (axis.length_squared(), axis.dot(direction));
-                // Everything times |axis|², with the part along the axis removed.
+                // The quadratic for the infinite cylinder: the components along the axis are removed, and all terms are
+                // multiplied by |axis|².
                 let a = length - along * along;
                 let b = length * o.dot(direction) - axis.dot(o) * along;
                 let c = length * (o.length_squared() - radius * radius) - axis.dot(o).powi(2);
-                // The ends lie within the infinite cylinder too; only a ray along the axis, a = 0, has no distance to it.
+                // The balls at the ends lie within the infinite cylinder, so a ray that misses the cylinder misses the
+                // capsule. This test is impossible for a ray along the axis, where a = 0.
                 if a > 1e-9 * length && b * b < a * c {
                     return None;
                 }
@@ -79,13 +81,13 @@ impl Shape {
         }
     }
 
-    /// Unit outward normal at a point of the surface.
+    /// Returns the unit outward normal at a point of the surface.
     pub fn normal(&self, point: DVec3) -> DVec3 {
         match *self {
             Self::Ellipsoid { center, radii } => ((point - center) / (radii * radii)).normalize_or_zero(),
             Self::Drum { center, radius, half_height } => {
                 let p = point - center;
-                // The wall and the ends meet where both distances are 0.
+                // The smaller distance decides between wall and end; both are 0 where they meet.
                 if (p.truncate().length() - radius).abs() < (p.z.abs() - half_height).abs() {
                     p.truncate().normalize_or_zero().extend(0.0)
                 } else {
@@ -96,7 +98,7 @@ impl Shape {
         }
     }
 
-    /// Negative inside, positive outside, zero on the surface; not a distance.
+    /// Returns a value that is negative inside, positive outside and zero on the surface; it is not a distance.
     pub fn implicit(&self, point: DVec3) -> f64 {
         match *self {
             Self::Ellipsoid { center, radii } => ((point - center) / radii).length() - 1.0,
@@ -108,24 +110,24 @@ impl Shape {
         }
     }
 
-    /// False only if no ray from `origin` within the angle `spread` (its tangent) of `direction` can hit.
+    /// Returns false only if no ray from `origin` can hit the shape whose angle to `direction` has a tangent of at most `spread`.
     pub fn near_line(&self, origin: DVec3, direction: DVec3, spread: f64) -> bool {
         let (start, end, radius) = self.bound();
         let farthest = start.distance(origin).max(end.distance(origin)) + radius;
         self.line_distance(origin, direction) <= 1.001 * spread * farthest
     }
 
-    /// Lower bound of the distance between the surface and a line; negative if the line may hit the shape.
+    /// Returns a lower bound of the distance between the surface and a line; negative if the line may hit the shape.
     pub fn line_distance(&self, origin: DVec3, direction: DVec3) -> f64 {
         let (start, end, radius) = self.bound();
-        // The segment seen along the line: its point nearest to the line, on the plane across it.
+        // Projects the segment onto the plane perpendicular to the line, and finds its point nearest to the line.
         let across = |v: DVec3| v - direction * v.dot(direction);
         let (from, axis) = (across(start - origin), across(end - start));
         let fraction = (-from.dot(axis) / axis.length_squared().max(1e-300)).clamp(0.0, 1.0);
         (from + fraction * axis).length() - radius
     }
 
-    /// Ends and radius of a capsule around the shape.
+    /// Returns the ends and the radius of a capsule that contains the shape.
     fn bound(&self) -> (DVec3, DVec3, f64) {
         match *self {
             Self::Ellipsoid { center, radii } => (center, center, radii.max_element()),
@@ -137,7 +139,7 @@ impl Shape {
     }
 }
 
-/// The smallest positive root of a·t² + 2·b·t + c = 0.
+/// Returns the smaller root of a·t² + 2·b·t + c = 0, for a > 0, if it is above [`SELF_HIT`].
 fn entry(a: f64, b: f64, c: f64) -> Option<f64> {
     let discriminant = b * b - a * c;
     // A NaN fails both comparisons.
@@ -156,7 +158,7 @@ fn nearest(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     }
 }
 
-/// Point of a segment nearest to `point`.
+/// Returns the point of a segment nearest to `point`.
 fn on_segment(start: DVec3, end: DVec3, point: DVec3) -> DVec3 {
     let axis = end - start;
     start + axis * ((point - start).dot(axis) / axis.length_squared()).clamp(0.0, 1.0)
@@ -189,7 +191,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
-        /// Brute force: the first change of sign of the implicit function along the ray.
+        /// Checks hits against brute force: the first change of sign of the implicit function along the ray.
         #[test]
         fn hits_are_where_the_implicit_function_changes_sign(
             shape in shape(), toward in vector(0.8), from in vector(1.0),
@@ -204,11 +206,11 @@ mod tests {
             let hit = shape.hit(origin, direction);
             match (hit, sampled) {
                 (Some(hit), Some(sampled)) => {
-                    // A chord shorter than a step may lie before the sampled one only at a tangent end of a capsule.
+                    // The solids are convex, so the ray enters less than a step before the first sample inside.
                     prop_assert!(hit <= sampled + 1e-9 && hit >= sampled - STEP - 1e-9, "{hit} {sampled}");
                 }
                 (None, Some(sampled)) => prop_assert!(false, "missed at {sampled}"),
-                // Too short a chord to be sampled: at least it is on the surface.
+                // The chord is too short to be sampled; only the checks below apply to the hit.
                 (Some(_), None) | (None, None) => {}
             }
             if let Some(hit) = hit {

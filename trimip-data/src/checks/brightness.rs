@@ -1,5 +1,5 @@
-//! Exposure: photographs of nearby cameras show much the same and are about equally bright. Brightness is the mean
-//! linear luminance of the kept pixels of a photograph, in stops (powers of two) relative to white.
+//! Checks exposure: photographs of nearby cameras show much the same and should be about equally bright. Brightness is
+//! the mean linear luminance of the kept pixels of a photograph, in stops (powers of two) relative to white.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -8,11 +8,11 @@ use super::{
 use glam::DVec3;
 use trimip_core::{Alpha, Camera, ViewSet};
 
-/// A photograph is doubted if it differs from its neighbours by more than this, stops: cameras change exposure in steps of a third.
+/// Largest usual difference between a photograph and its neighbours, stops: cameras change exposure in steps of a third of a stop.
 const MOST_STOPS: f64 = 0.5;
 
-/// Further stops allowed for each radian between the views: the change of a matt ball that is lit at 45° to the view
-/// (the logarithmic slope of Lambert's phase function).
+/// Additional stops allowed per radian between the views: the change of a matt ball that is lit at 45° to the view (the
+/// logarithmic slope of Lambert's phase function).
 const STOPS_PER_RADIAN: f64 = 1.0;
 
 /// Number of nearest views that a view is compared with.
@@ -21,18 +21,18 @@ const NEIGHBOURS: usize = 4;
 /// Fewest photographs that are compared.
 const LEAST_VIEWS: usize = 4;
 
-/// Smallest side of the images in pixels, if they are that large: a mean needs no more.
+/// Least side of the compared images, pixels (see [`coarsest`]): a mean needs no larger ones.
 const SIDE: u32 = 32;
 
-/// Least alpha of a pixel that counts.
+/// Least alpha of a pixel that counts as kept.
 const KEPT: u8 = 128;
 
-/// Darkest photograph, linear luminance: it bounds the logarithm.
+/// Least linear luminance of a photograph, so that its logarithm stays finite.
 const DARKEST: f64 = 1.0 / 4096.0;
 
 const NAME: &str = "exposure";
 
-/// Mean brightness of pixels in stops (0: white, -1: half of it); `None` if none is kept.
+/// Returns the mean brightness of the kept pixels in stops (0: white, -1: half of it), or `None` if no pixel is kept.
 pub fn stops(pixels: &[[u8; 4]], alpha: Alpha) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0_u64);
     for pixel in pixels.iter().filter(|pixel| pixel[3] >= KEPT) {
@@ -45,7 +45,7 @@ pub fn stops(pixels: &[[u8; 4]], alpha: Alpha) -> Option<f64> {
     (count > 0).then(|| (sum / count as f64).max(DARKEST).log2())
 }
 
-/// Linear light of an sRGB value.
+/// Returns the linear light of an sRGB value.
 fn linear(value: f64) -> f64 {
     if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
@@ -104,7 +104,7 @@ pub fn brightness(train: &ViewSet) -> Check {
     Check { name: NAME, figure, limit, verdict, suspects, values }
 }
 
-/// Angle and brightness of the views nearest to `view` in position and direction.
+/// Returns the angle to `view` and the brightness of the views that are nearest to it in position and direction.
 fn nearest(cameras: &[Camera], stops: &[Option<f64>], view: usize) -> Vec<(f64, f64)> {
     let midst = cameras.iter().map(|camera| camera.origin).sum::<DVec3>() / cameras.len() as f64;
     let size =

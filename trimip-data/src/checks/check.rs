@@ -23,12 +23,12 @@ pub struct Suspect {
     pub figure: String,
 }
 
-/// Figures of the training views.
+/// A quantity that was measured for each training view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Values {
     /// Name of the quantity, with its unit.
     pub name: &'static str,
-    /// One per view of the finest scale; `None` where it is not known.
+    /// One value per view of the finest scale; `None` where it is unknown.
     pub of: Vec<Option<f64>>,
 }
 
@@ -39,13 +39,13 @@ pub struct Check {
     pub name: &'static str,
     /// The measurement, in words.
     pub figure: String,
-    /// The condition that would be suspicious, and why.
+    /// The condition that would be suspicious, with the reason.
     pub limit: String,
     /// The conclusion.
     pub verdict: Verdict,
     /// Views beyond a limit, the worst first.
     pub suspects: Vec<Suspect>,
-    /// Figures of all views, if there are any.
+    /// Quantities measured for all views, if there are any.
     pub values: Vec<Values>,
 }
 
@@ -53,13 +53,13 @@ pub struct Check {
 const NAMED: usize = 4;
 
 impl Check {
-    /// A check that the data do not allow, with the reason.
+    /// Creates the result of a check that the data do not allow; the figure is the reason.
     pub(super) fn unknown(name: &'static str, limit: String, reason: &str) -> Self {
         let verdict = Verdict::Unknown;
         Self { name, figure: reason.into(), limit, verdict, suspects: Vec::new(), values: Vec::new() }
     }
 
-    /// The warning of a suspicious check, in one line; `train` holds the names of the views.
+    /// Returns the warning of a suspicious check, in one line; `train` holds the names of the views.
     pub fn warning(&self, train: &ViewSet) -> Option<String> {
         let Verdict::Suspicious(advice) = self.verdict else { return None };
         let named = |suspect: &Suspect| Some(format!("{} ({})", name(train, suspect.view)?, suspect.figure));

@@ -7,21 +7,21 @@ use super::{
 };
 use trimip_core::{Aabb, ViewSet, scene::silhouettes};
 
-/// A view is doubted if more than this share of its object is outside of the box: less is the soft edge of a silhouette.
+/// Largest usual share of a view's object outside of the box: the soft edge of a silhouette accounts for less.
 const MOST_CUT: f64 = 0.02;
 
-/// Smallest side of the images in pixels, if they are that large.
+/// Least side of the compared images, pixels (see [`coarsest`]).
 const SIDE: u32 = 96;
 
-/// Rays along the longer side of each view.
+/// Largest number of pixels that are sampled along the longer side of a view, with one ray each.
 const RAYS: u32 = 96;
 
-/// Least opacity of the object.
+/// Least alpha of a pixel that shows the object.
 const OBJECT: u8 = 128;
 
 const NAME: &str = "box around the object";
 
-/// Checks that the box holds the object in the silhouettes. `aabb` is `None` for unbounded space.
+/// Checks that the box contains the object that the silhouettes show. `aabb` is `None` for unbounded space.
 pub fn coverage(train: &ViewSet, aabb: Option<&Aabb<f64>>) -> Check {
     let limit = format!("more than {:.0} % of the object outside the box in a view", 100.0 * MOST_CUT);
     let Some(aabb) = aabb else {

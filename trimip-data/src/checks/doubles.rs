@@ -1,5 +1,5 @@
-//! Duplicates: different photographs with one pose, and one photograph with different poses. A photograph that is both
-//! trained and tested on makes test results too good.
+//! Checks for duplicates: different photographs with one pose, and one photograph with different poses. If a photograph
+//! is in both the training and the test set, test results are too good.
 
 use super::{
     check::{Check, Suspect, Verdict},
@@ -8,14 +8,14 @@ use super::{
 use std::collections::HashMap;
 use trimip_core::{Camera, ViewSet};
 
-/// Cameras closer than this share of their extent, with axes that differ by less, count as one pose: files state poses
-/// to six digits or more, and no hand holds a camera that still.
+/// Two cameras have the same pose if their distance is at most this share of the extent of all cameras, and the components
+/// of their axes differ by at most this. Files state poses to six digits or more, and no hand holds a camera that still.
 const SAME: f64 = 1e-6;
 
-/// Smallest side of compared images in pixels, if they are that large: two different photographs are never equal at this size.
+/// Least side of the compared images, pixels (see [`coarsest`]): two different photographs are never equal at this size.
 const SIDE: u32 = 32;
 
-/// True for cameras at one place with the same axes.
+/// Returns true for two cameras at one place with the same axes.
 fn same(a: &Camera, b: &Camera, extent: f64) -> bool {
     let turned = a.rotation - b.rotation;
     let axes = [turned.x_axis, turned.y_axis, turned.z_axis];
@@ -23,7 +23,7 @@ fn same(a: &Camera, b: &Camera, extent: f64) -> bool {
         && axes.iter().all(|axis| axis.abs().max_element() <= SAME)
 }
 
-/// Size of the box around the cameras.
+/// Returns the diagonal of the bounding box of the cameras.
 fn extent(cameras: &[Camera]) -> f64 {
     let places = || cameras.iter().map(|camera| camera.origin);
     match (places().reduce(glam::DVec3::min), places().reduce(glam::DVec3::max)) {
@@ -47,7 +47,7 @@ pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
         .filter(|(_, camera)| cameras.iter().any(|other| same(camera, other, extent)))
         .map(|(name, _)| name.as_str())
         .collect();
-    // If all test frames are training frames, this is intended.
+    // If all test frames are training frames, the user intends it.
     let leaked = if leaked.len() == test.len() { Vec::new() } else { leaked };
     let mut figure = match suspects.len() {
         0 => format!("{} training cameras have different poses", cameras.len()),
@@ -77,7 +77,7 @@ pub fn photographs(train: &ViewSet) -> Check {
     let mut suspects = Vec::new();
     for (view, index) in scale.views.clone().enumerate() {
         let pixels = train.pixels_of(index);
-        // An image of one colour is not compared: a mask that keeps nothing makes such images.
+        // Images of one colour are not compared: a mask that keeps nothing makes such images.
         if pixels.iter().all(|pixel| *pixel == pixels[0]) {
             continue;
         }

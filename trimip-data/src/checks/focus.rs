@@ -1,5 +1,5 @@
-//! Axes of cameras: a camera has its subject in front of it. Cameras with other axes than those of the file's layout
-//! look away from the place where their optical axes meet.
+//! Checks the axes of cameras: a camera has its subject in front of it. If the axes of a file are not those of its
+//! layout, the cameras look away from the place where their optical axes meet.
 
 use super::{
     check::{Check, Suspect, Verdict},
@@ -8,17 +8,17 @@ use super::{
 use crate::Point;
 use trimip_core::{Camera, ViewSet, scene_plan};
 
-/// Axes are doubted if fewer than this share of the cameras have their common focus in front of them: turned axes have
-/// 0, a walk through rooms about one half.
+/// Axes are doubted if fewer than this share of the cameras have the common focus in front of them. With wrong axes no
+/// camera has, on a walk through rooms about one half.
 const LEAST_AHEAD: f64 = 0.2;
 
-/// Share above which the cameras surround a subject, and the few that look away are doubted.
+/// If more than this share of the cameras look at the focus, they surround a subject, and the few that look away are doubted.
 const SURROUNDING: f64 = 0.9;
 
 const NAME: &str = "axes of cameras";
 
 /// Checks that the cameras look towards the place where their optical axes meet. Points with tracks are better
-/// evidence: with them, only single views that look away are doubted.
+/// evidence: if there are any, only single views that look away are doubted.
 pub fn focus(train: &ViewSet, points: &[Point]) -> Check {
     let limit = format!(
         "less than {:.0} % of the cameras look towards the place where their axes meet, or single cameras look away although {:.0} % \

@@ -39,7 +39,7 @@ pub struct Subject<'a> {
     pub aabb: Option<&'a Aabb<f64>>,
 }
 
-/// Runs all checks.
+/// Runs all checks and returns their results.
 pub fn all(subject: &Subject<'_>) -> Vec<Check> {
     let Subject { train, test, points, aabb } = *subject;
     vec![

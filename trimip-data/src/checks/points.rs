@@ -1,5 +1,5 @@
 //! Checks poses against points of structure from motion: the reprojection errors of the points that a camera saw, and
-//! whether they are in front of it. Errors are in pixels of the photographs as they are read.
+//! whether these points are in front of the camera. Errors are in pixels of the finest scale.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -9,22 +9,22 @@ use crate::{Point, points::Observation};
 use glam::DVec3;
 use trimip_core::{Camera, ViewSet};
 
-/// A view is doubted above this median reprojection error, pixels: bundle adjustment leaves about one.
+/// Median reprojection error above which a view is doubted, pixels: bundle adjustment leaves about one pixel.
 const MOST_PIXELS: f64 = 3.0;
 
-/// The same as a multiple of the median of all views.
+/// Multiple of the median of all views above which the median error of a view is doubted.
 const MOST_TIMES: f64 = 4.0;
 
-/// An error below this many pixels blurs nothing and is never doubted.
+/// A view whose median error is below this many pixels is never doubted by [`MOST_TIMES`]: such an error blurs nothing.
 const NEGLIGIBLE: f64 = 1.0;
 
-/// Fewest points of a view whose median is meaningful.
+/// Least number of points with which the median of a view is meaningful.
 const LEAST_POINTS: usize = 8;
 
-/// Axes are doubted if fewer than this share of the points are in front of the cameras that saw them: correct poses have 1.
+/// Axes are doubted if fewer than this share of the points are in front of the cameras that saw them: with correct poses all are.
 const LEAST_AHEAD: f64 = 0.95;
 
-/// All observations: the position of the point, the observation, and the camera of its view.
+/// Returns all observations: the position of the point, the observation, and the camera of its view.
 fn observed<'a>(
     cameras: &'a [Camera],
     points: &'a [Point],
@@ -45,7 +45,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     let cameras = cameras(train);
     let mut errors: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
     for (position, seen, camera) in observed(&cameras, points) {
-        // A point without an image in the camera counts as far off.
+        // A point without an image in the camera gets the largest error.
         errors[seen.view as usize].push(seen.error(position, camera).unwrap_or(f64::MAX));
     }
     let enough = |errors: Vec<f64>| if errors.len() < LEAST_POINTS { None } else { median(errors) };
@@ -78,7 +78,7 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
         ),
     };
     let suspects = doubted.into_iter().map(|(view, error)| Suspect { view, figure: told(error) }).collect();
-    // A view whose points are nowhere near has no value.
+    // A view whose median error is 10,000 pixels or more has no value.
     let of = medians.into_iter().map(|error| error.filter(|error| *error < 1e4)).collect();
     let values = vec![Values { name: "reprojection error / pixels", of }];
     Check { name: NAME, figure, limit, verdict, suspects, values }

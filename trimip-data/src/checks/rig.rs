@@ -1,4 +1,4 @@
-//! Checks the cameras as a whole: whether they are enough, whether some are far from the others, and whether their lenses are plausible.
+//! Checks the cameras as a whole: whether there are enough, whether some are far from the others, and whether their lenses are plausible.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -11,10 +11,10 @@ use trimip_core::{
     scene::strays::{STRAY, strays},
 };
 
-/// Fewest photographs from which a scene is usually learned.
+/// Least number of photographs from which training usually learns a scene.
 const FEWEST: usize = 8;
 
-/// Plausible fields of view across the longer side, degrees: from a long lens to a wide one.
+/// Plausible fields of view across the longer side, degrees: from a telephoto to a wide-angle lens.
 const FIELDS: [f64; 2] = [4.0, 150.0];
 
 /// Largest plausible distance of the principal point from the middle of the picture, as a fraction of the side.

@@ -1,5 +1,5 @@
-//! Checks silhouettes against poses: the visual hull of the training silhouettes, projected into every camera, covers the object
-//! in its photograph. Shuffled poses have no common hull; one wrong pose or mask disagrees with the hull of the others.
+//! Checks silhouettes against poses: the visual hull of the training silhouettes, projected into every camera, should cover the
+//! object in its photograph. Shuffled poses have no common hull; one wrong pose or mask disagrees with the hull of the others.
 
 use super::{
     check::{Check, Suspect, Values, Verdict},
@@ -9,45 +9,44 @@ use glam::DVec3;
 use rayon::prelude::*;
 use trimip_core::{Aabb, Camera, ViewSet, scene::silhouettes::bounds_despite, scene_plan};
 
-/// Median overlap below which the poses as a whole are doubted: right ones have above 0.9, shuffled ones 0.2 to 0.8.
+/// Median overlap below which the poses as a whole are doubted: correct poses reach above 0.9, shuffled ones 0.2 to 0.8.
 const LEAST_MEDIAN: f64 = 0.7;
 
-/// Median share of the silhouettes that the hull covers below which the poses as a whole are doubted: the hull of right poses
-/// holds the object, so this is above 0.95; shuffled poses of a round object have below 0.8.
+/// Median coverage below which the poses as a whole are doubted. Coverage is the share of a silhouette that the hull covers. The
+/// hull of correct poses contains the object, so its coverage is above 0.95; for shuffled poses of a round object it is below 0.8.
 const LEAST_MEDIAN_COVERED: f64 = 0.85;
 
-/// A view's overlap is doubted below this share of the median, unless the hull covers more of it than usual: then the hull
-/// is too large, because few other views look along a flat side.
+/// A view's overlap is doubted below this share of the median, unless the hull covers more of its silhouette than
+/// usual: then the hull is too large, because few other views look along a flat side.
 const LEAST_SHARE: f64 = 0.8;
 
-/// A view is doubted if the share of its silhouette that the hull covers is below this share of the median: whichever
-/// views carve it, the hull holds the object.
+/// A view's coverage is doubted below this share of the median: the hull contains the object, whichever views carve it.
 const LEAST_COVERED: f64 = 0.9;
 
-/// Of at least `DISSENT[0]` photographs that see a place of the hull, one in `DISSENT[1]`, but at least one, may show
-/// background there. A single wrong view is then doubted instead of carving the hull of all. More tolerance would fill
-/// parts that only a few views along a flat side carve. Fewer than `DISSENT[0]` photographs have to agree.
+/// If at least `DISSENT[0]` photographs see a cell of the hull, one in `DISSENT[1]` of them, but at least one, may show
+/// background there. A single wrong view is then doubted instead of carving the hull of all views. More tolerance would
+/// fill parts that only a few views along a flat side carve. If fewer photographs see the cell, all have to agree.
 const DISSENT: [usize; 2] = [10, 32];
 
-/// Least share of the views that see a place of the hull.
+/// Least share of the views that see a place where the hull may be.
 const COMMON: f64 = 0.5;
 
-/// Cells along each side of the hull: its error is a hundredth of the object.
+/// Cells along each side of the hull, which make its error a hundredth of the object.
 const CELLS: usize = 80;
 
-/// Largest number of silhouettes that carve, evenly spread: more change the hull by less than a cell.
+/// Largest number of silhouettes that carve the hull, evenly spread: more would change it by less than a cell.
 const CARVERS: usize = 64;
 
 /// Fewest silhouettes that give a useful hull.
 const LEAST_VIEWS: usize = 4;
 
-/// Smallest side of the images in pixels, if they are that large: thin parts of the object are preserved.
+/// Least side of the compared images, pixels (see [`coarsest`]): it preserves thin parts of the object.
 const SIDE: u32 = 128;
 
-/// Rays along the longer side of each view.
+/// Largest number of pixels that are sampled along the longer side of a view, with one ray each.
 const RAYS: u32 = 64;
 
-/// Least opacity of the object.
+/// Least alpha of a pixel that shows the object.
 const OBJECT: u8 = 128;
 
 const NAME: &str = "silhouettes and poses";
@@ -63,7 +62,7 @@ impl Mask<'_> {
         self.pixels[(y * self.camera.intrinsics.width + x) as usize][3] >= OBJECT
     }
 
-    /// True if the silhouette contains the projection of `point`; `None` outside of the image.
+    /// Returns true if the silhouette contains the projection of `point`, or `None` if that is outside of the image.
     fn at(&self, point: DVec3) -> Option<bool> {
         let k = &self.camera.intrinsics;
         let [x, y] = k.image_of(self.camera.rotation.transpose() * (point - self.camera.origin))?;
@@ -71,13 +70,13 @@ impl Mask<'_> {
         inside.then(|| self.object(x as u32, y as u32))
     }
 
-    /// The overlap of the silhouette and the hull as this camera sees it; `None` if both are empty.
+    /// Returns the overlap of the silhouette and the hull as this camera sees it, or `None` if both are empty.
     fn overlap(&self, hull: &Hull) -> Option<Overlap> {
         let k = &self.camera.intrinsics;
         let (mut both, mut either, mut own) = (0_u32, 0_u32, 0_u32);
         for (x, y) in sampled(k.width, k.height, RAYS) {
             let cone = self.camera.cone::<f64>(x, y);
-            // A pixel that the lens has no ray for.
+            // The lens has no ray for this pixel.
             if cone.is_none() {
                 continue;
             }
@@ -94,13 +93,13 @@ impl Mask<'_> {
 /// The intersection of a silhouette and the projected hull.
 #[derive(Clone, Copy, Default)]
 struct Overlap {
-    /// As a share of their union.
+    /// As a share of their union (IoU).
     union: f64,
     /// As a share of the silhouette.
     covered: f64,
 }
 
-/// Cells of a box, x fastest.
+/// The visual hull: the cells of a box, x fastest.
 struct Hull {
     aabb: Aabb<f64>,
     inside: Vec<bool>,
@@ -127,12 +126,13 @@ impl Hull {
         Self { aabb, inside }
     }
 
-    /// True if a ray meets a cell of the hull; steps are half a cell.
+    /// Returns true if a ray meets a cell of the hull; steps are half a cell.
     fn meets(&self, origin: [f64; 3], direction: [f64; 3]) -> bool {
         let (enter, leave) = self.aabb.intersect(origin, direction);
         let extent = self.aabb.extent();
         let step = 0.5 * extent.iter().copied().fold(f64::INFINITY, f64::min) / CELLS as f64;
-        // A flat box has no steps; the bound also ends a walk of non-finite length.
+        // The bound keeps the number of steps finite if the box is flat, so that steps have no length, or if the ray's
+        // length is not finite.
         let steps = ((leave - enter) / step).ceil().clamp(0.0, 1e4) as usize;
         (0..steps).any(|i| {
             let t = enter + (i as f64 + 0.5) * step;
@@ -145,7 +145,7 @@ impl Hull {
     }
 }
 
-/// Number of `seeing` photographs that may show background at a place of the hull.
+/// Returns how many of `seeing` photographs may show background at a cell of the hull.
 fn dissent(seeing: usize) -> usize {
     let [least, each] = DISSENT;
     if seeing < least { 0 } else { (seeing / each).max(1) }
@@ -184,7 +184,7 @@ pub fn silhouettes(train: &ViewSet) -> Check {
             let hull = Hull::new(region, &carvers);
             all.par_iter().map(|mask| carves(&mask).then(|| mask.overlap(&hull)).flatten()).collect()
         }
-        // Nothing is in all silhouettes.
+        // No place lies in all silhouettes.
         None => all.iter().map(|mask| carves(&mask).then(Overlap::default)).collect(),
     };
     let column = |of: fn(Overlap) -> f64| overlaps.iter().map(|known| known.map(of)).collect::<Vec<_>>();

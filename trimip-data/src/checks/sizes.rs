@@ -1,5 +1,5 @@
-//! Sizes and focal lengths: one camera takes photographs of one size and one angle of view. Copies in another size, crops with
-//! the old focal length and zoomed shots differ.
+//! Checks sizes and focal lengths: one camera takes photographs of one size and one angle of view. Copies in another
+//! size, crops with the old focal length and zoomed shots differ.
 
 use super::{
     check::{Check, Suspect, Verdict},
@@ -7,11 +7,12 @@ use super::{
 };
 use trimip_core::{Camera, ViewSet};
 
-/// An image is doubted if its side √(width·height) differs from the median by more than this factor: two cameras rarely
-/// do, a thumbnail does.
+/// An image is doubted if its side √(width·height) differs from the median by more than this factor: images of two
+/// cameras rarely do, a thumbnail does.
 const MOST_SIZE: f64 = 1.5;
 
-/// The same for focal lengths as shares of the side: a zoom, or a crop that kept its old focal length.
+/// An image is doubted if its focal length, as a share of the side, differs from the median by more than this factor:
+/// it is a zoomed shot, or a crop that kept its old focal length.
 const MOST_FOCAL: f64 = 1.5;
 
 /// Checks that the training photographs have about one size and one angle of view.

@@ -1,5 +1,5 @@
-//! The binary files of a COLMAP model, little-endian. Nothing is allocated for a count before the rest of the file is known to
-//! be long enough for it.
+//! The binary files of a COLMAP model, little-endian. Memory is allocated only after the rest of the file proves to be
+//! long enough for a stated count.
 
 use super::{
     lenses::{ADVICE, Kind, ModelCamera},
@@ -7,15 +7,15 @@ use super::{
 };
 use trimip_core::{Error, Result};
 
-/// Least bytes of an entry: number, model and size of a camera and two parameters.
+/// Least bytes of a camera: its number, model and size, and two parameters.
 const CAMERA: usize = 24 + 2 * 8;
-/// Number, pose, camera, end of the name and count of features.
+/// Least bytes of an image: its number, pose and camera, the end of its name, and the count of its features.
 const IMAGE: usize = 4 + 7 * 8 + 4 + 1 + 8;
-/// A place and the number of a point.
+/// Bytes of a feature: its position and the number of its point.
 const FEATURE: usize = 24;
-/// Number, position, colour, error and length of the track.
+/// Least bytes of a point: its number, position, colour and error, and the length of its track.
 const POINT: usize = 8 + 24 + 3 + 8 + 8;
-/// An image and a feature.
+/// Bytes of an entry of a track: an image and a feature.
 const STEP: usize = 8;
 
 pub(super) fn cameras(file: File<'_>) -> Result<Vec<ModelCamera>> {
@@ -90,7 +90,7 @@ pub(super) fn points(file: File<'_>) -> Result<Vec<ModelPoint>> {
     Ok(points)
 }
 
-/// Number of images that the head of `images.bin` states.
+/// Returns the number of images that the head of `images.bin` states.
 pub(super) fn stated_images(head: [u8; 8]) -> u64 {
     u64::from_le_bytes(head)
 }
@@ -99,7 +99,7 @@ fn place(file: File<'_>, at: usize, entry: &str) -> String {
     format!("{}: byte {at}: {entry}", file.name)
 }
 
-/// The part of a file that is not read yet.
+/// The unread part of a file.
 struct Rest<'a> {
     file: File<'a>,
     at: usize,
@@ -150,7 +150,7 @@ impl<'a> Rest<'a> {
         Ok(values)
     }
 
-    /// A count of entries that need `least` bytes each.
+    /// Reads a count of entries, and refuses one whose entries of at least `least` bytes do not fit into the rest of the file.
     fn count(&mut self, of: &str, least: usize) -> Result<usize> {
         let count = self.u64()?;
         let fits = usize::try_from(count).ok().filter(|count| *count <= self.left().len() / least);
@@ -163,7 +163,7 @@ impl<'a> Rest<'a> {
         })
     }
 
-    /// Refuses `count` entries of `bytes` that the file does not hold.
+    /// Refuses `count` entries of `bytes` bytes each that do not fit into the rest of the file.
     fn needs(&self, count: usize, bytes: usize, of: &str) -> Result<()> {
         if count * bytes <= self.left().len() {
             return Ok(());
@@ -171,7 +171,7 @@ impl<'a> Rest<'a> {
         Err(self.wrong(format!("the file ends within {count} {of}")))
     }
 
-    /// A text that ends with a zero byte.
+    /// Reads a text that ends with a zero byte.
     fn name(&mut self) -> Result<String> {
         let left = self.left();
         let Some(length) = left.iter().position(|&byte| byte == 0) else {
@@ -181,7 +181,7 @@ impl<'a> Rest<'a> {
             return Err(self.wrong("the name of an image is empty".into()));
         }
         self.at += length + 1;
-        // Characters of a code page are replaced, as they are in the names of files that are searched.
+        // Bytes that are not UTF-8, such as those of a code page, are replaced, as in the names of the files that are searched.
         Ok(String::from_utf8_lossy(&left[..length]).into_owned())
     }
 

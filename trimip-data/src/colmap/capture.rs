@@ -1,5 +1,5 @@
-//! Frames of a COLMAP model: photographs found and measured against their cameras, poses in OpenGL axes, points of the scene.
-//! Frames are sorted by the names of their images; every 8th is the test split.
+//! Frames of a COLMAP model: their photographs, cameras at the size of the photographs, poses in OpenGL axes, and
+//! points of the scene. Frames are sorted by the names of their images; every 8th is a test frame.
 
 use super::{
     lenses::ModelCamera,
@@ -28,13 +28,13 @@ use trimip_core::{Camera, Error, Place, Result, plural::count};
 
 /// A capture with a model, before any photograph is decoded.
 pub(crate) struct Capture {
-    /// The file of the images, for messages.
+    /// The file that lists the images, for messages.
     file: PathBuf,
     frames: Vec<Frame>,
     scales: u32,
     warnings: Vec<String>,
     notes: Vec<String>,
-    /// Given to the first split that is read.
+    /// Points of the model; the first split that is read takes them.
     cloud: Cell<Cloud>,
 }
 
@@ -96,7 +96,7 @@ impl Capture {
         Ok(Self { file, frames, scales, warnings, notes, cloud: Cell::new(cloud) })
     }
 
-    /// The frames of "train" or "test".
+    /// Returns the frames of "train" or "test".
     pub(crate) fn split(&self, split: &str) -> Result<Split> {
         let selection = match split {
             "train" => Selection::Train,
@@ -106,7 +106,7 @@ impl Capture {
         self.selected(split, &selection)
     }
 
-    /// All frames.
+    /// Returns all frames.
     pub(crate) fn all(&self) -> Result<Split> {
         self.selected("train", &Selection::All)
     }
@@ -136,7 +136,7 @@ impl Capture {
 }
 
 impl Model {
-    /// Camera-to-world cameras in OpenGL axes of all images, in their order; `file` names the file of the images.
+    /// Returns the cameras of all images, in their order: camera-to-world with OpenGL axes. `file` names the file of the images in errors.
     ///
     /// # Errors
     /// Of kind `Input`: a pose or a camera that is not finite, and a missing camera.
@@ -157,9 +157,9 @@ impl Model {
     }
 }
 
-/// Camera-to-world rotation in OpenGL axes, and centre: Rᵀ·diag(1, −1, −1) and −Rᵀ·t.
+/// Returns the camera-to-world rotation in OpenGL axes, Rᵀ·diag(1, −1, −1), and the centre of the camera, −Rᵀ·t.
 fn pose(image: &ModelImage, place: &Place) -> Result<(DMat3, DVec3)> {
-    // The largest part is scaled to 1, so that no square leaves the range of f64.
+    // The largest component is scaled to ±1, so that no square leaves the range of f64.
     let largest = image.rotation.iter().fold(0.0_f64, |largest, part| largest.max(part.abs()));
     let [w, x, y, z] = image.rotation.map(|part| part / largest);
     let to_world = DMat3::from_quat(DQuat::from_xyzw(x, y, z, w).normalize()).transpose();
@@ -191,7 +191,7 @@ fn without_camera(model: &mut Model, file: &Path) -> Result<Option<String>> {
     )))
 }
 
-/// A warning if the folders of the model's photographs hold others that are not in the model.
+/// Returns a warning if the folders of the model's photographs hold other photographs that are not in the model.
 fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
     let parents: BTreeSet<PathBuf> =
         names.iter().filter_map(|name| folder.join(name).parent().map(Path::to_path_buf)).collect();
@@ -202,8 +202,8 @@ fn unplaced(folder: &Path, names: &[&str]) -> Option<String> {
     })
 }
 
-/// Scales the cameras of frames to the size of their photographs. Returns the pixels of the photograph per pixel of the
-/// camera, along x and y.
+/// Scales the cameras of frames to the size of their photographs. Returns for each frame the pixels of the photograph
+/// per pixel of the camera, along x and y.
 fn scale_cameras(frames: &mut [Frame]) -> Result<Vec<[f64; 2]>> {
     let fitted = map_in_order(frames, |_, frame| {
         let image = Photograph::open(frame.path.clone(), frame.place.clone())?;
@@ -236,7 +236,7 @@ fn realigned(file: &Path, frames: &mut [Frame], cloud: &mut Cloud) -> Result<Opt
     Ok(Some(format!("{}: {warning}", file.display())))
 }
 
-/// Points with their tracks by frame. `names` and `factors` are in the order of the model's images.
+/// Returns the points, with the frames that saw them as tracks. `names` and `factors` are in the order of the model's images.
 fn cloud(model: &Model, names: Vec<String>, factors: &[[f64; 2]]) -> Cloud {
     let frames: HashMap<u32, usize> =
         model.images.iter().enumerate().map(|(index, image)| (image.id, index)).collect();

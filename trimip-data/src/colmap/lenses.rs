@@ -1,17 +1,17 @@
 //! Cameras of a COLMAP model: the camera models by number and name, with the order of their parameters in the files (COLMAP's
-//! sensor/models.h), and their intrinsics for a renderer. Lengths in pixels; the centre of the upper left pixel is (0.5, 0.5).
+//! sensor/models.h), and the conversion to intrinsics. Lengths are in pixels; the centre of the upper left pixel is (0.5, 0.5).
 
 use trimip_core::geometry::projections::{Colmap, Model};
 use trimip_core::{Intrinsics, Lens};
 
-/// A camera model of COLMAP, and its equivalent here.
+/// A camera model of COLMAP, and the camera model of this program that it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Kind {
     model: Model,
     colmap: &'static Colmap,
 }
 
-/// All models of COLMAP that the registry has.
+/// Returns the camera models of COLMAP that the registry has.
 fn kinds() -> impl Iterator<Item = Kind> {
     let of = |model: &Model| {
         let model = *model;
@@ -20,7 +20,7 @@ fn kinds() -> impl Iterator<Item = Kind> {
     Model::ALL.iter().flat_map(of)
 }
 
-/// Further models of COLMAP. Messages call them unsupported, not unknown, unless the registry has them.
+/// Numbers and names of further models of COLMAP. Messages call them unsupported, not unknown, unless the registry has them.
 const OTHERS: [(i32, &str); 5] =
     [(7, "FOV"), (11, "RAD_TAN_THIN_PRISM_FISHEYE"), (12, "SIMPLE_DIVISION"), (13, "DIVISION"), (16, "EUCM")];
 
@@ -38,7 +38,7 @@ impl Kind {
         })
     }
 
-    /// Names of the parameters in the order of the files.
+    /// Returns the names of the parameters in the order of the files.
     pub(super) fn parameters(self) -> &'static [&'static str] {
         self.colmap.parameters
     }
@@ -58,7 +58,7 @@ impl Kind {
 /// A camera of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelCamera {
-    /// Its number, which images name.
+    /// Its number, by which images refer to it.
     pub id: u32,
     kind: Kind,
     width: u32,
@@ -67,7 +67,7 @@ pub struct ModelCamera {
 }
 
 impl ModelCamera {
-    /// A camera with the parameters in the order of the files; the error says what is wrong with it.
+    /// Creates a camera from parameters in the order of the files. The error describes what is wrong.
     pub(super) fn new(id: u32, kind: Kind, size: [u64; 2], parameters: Box<[f64]>) -> Result<Self, String> {
         let [width, height] = size.map(|side| u32::try_from(side).unwrap_or(0));
         if width == 0 || height == 0 {
@@ -93,17 +93,17 @@ impl ModelCamera {
         Ok(Self { id, kind, width, height, parameters })
     }
 
-    /// False if a parameter is not finite: the calibration failed.
+    /// Returns false if a parameter is not finite, because the calibration failed.
     pub fn is_finite(&self) -> bool {
         self.parameters.iter().all(|parameter| parameter.is_finite())
     }
 
-    /// Name of its camera model.
+    /// Returns the name of its camera model.
     pub fn model(&self) -> &'static str {
         self.kind.colmap.name
     }
 
-    /// Size, projection in pixels, and lens.
+    /// Returns its size, projection in pixels, and lens.
     pub fn intrinsics(&self) -> Intrinsics {
         let stated = |key: &str| {
             let place = self.kind.parameters().iter().position(|name| *name == key)?;

@@ -30,9 +30,9 @@ const FOLDERS: [&str; 11] = [
     "dense/sparse",
     "undistorted/sparse",
 ];
-/// Folders that hold several models by number.
+/// Folders that may hold several numbered models.
 const SEVERAL: [&str; 2] = ["sparse", "colmap/sparse"];
-/// Most levels above a model that are searched for its photographs.
+/// Number of levels above a model that are searched for its photographs.
 const LEVELS_UP: usize = 3;
 
 /// The folder of a model.
@@ -42,14 +42,14 @@ pub(super) struct Found {
     pub(super) warning: Option<String>,
 }
 
-/// True if a folder holds a model.
+/// Returns true if a folder holds a model.
 pub(crate) fn is_there(root: &Path) -> bool {
     first(root).is_some()
 }
 
 fn first(root: &Path) -> Option<(&'static str, PathBuf)> {
     let mut folders = FOLDERS.map(|name| (name, if name.is_empty() { root.into() } else { root.join(name) }));
-    // A mapper that begins again leaves no model 0.
+    // A mapper that starts again leaves no model 0: the lowest number takes its place.
     for several in SEVERAL {
         if let Some((_, folder)) = folders.iter_mut().find(|(name, _)| *name == format!("{several}/0")) {
             let models = numbered(&root.join(several));
@@ -59,7 +59,7 @@ fn first(root: &Path) -> Option<(&'static str, PathBuf)> {
     folders.into_iter().find(|(_, folder)| encoding(folder).is_some())
 }
 
-/// The folders with a number for a name that hold models, by number.
+/// Returns the folders within `folder` that hold a model and have a number as their name, sorted by number.
 fn numbered(folder: &Path) -> Vec<PathBuf> {
     let number = |path: &PathBuf| path.file_name()?.to_str()?.parse::<u32>().ok();
     let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
@@ -69,7 +69,7 @@ fn numbered(folder: &Path) -> Vec<PathBuf> {
     models
 }
 
-/// The encoding of the files of a model; binary ones take precedence. `None` if the folder holds no model.
+/// Returns the encoding of the files of a model, or `None` if the folder holds no model. Binary files take precedence.
 fn encoding(folder: &Path) -> Option<Encoding> {
     let both = |extension: &str| {
         ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{extension}")).is_file())
@@ -80,7 +80,7 @@ fn encoding(folder: &Path) -> Option<Encoding> {
         .map(|(encoding, _)| encoding)
 }
 
-/// The model of a scene. Among several numbered models, the one with the most images is taken.
+/// Returns the model of a scene: among several numbered models, the one with the most images.
 pub(super) fn model(root: &Path) -> Result<Found> {
     let Some((name, folder)) = first(root) else {
         return Err(Error::input(
@@ -94,7 +94,7 @@ pub(super) fn model(root: &Path) -> Result<Found> {
     };
     let models: Vec<(PathBuf, u64)> =
         numbered(&parent).into_iter().map(|folder| (folder.clone(), images_in(&folder))).collect();
-    // The first of several with the same number.
+    // Among models with equally many images, the first is taken.
     let best = models.iter().rev().max_by_key(|(_, images)| *images).map(|(folder, _)| folder.clone());
     let Some(best) = best.filter(|_| models.len() > 1) else { return Ok(Found { folder, warning: None }) };
     let counts: Vec<String> = models
@@ -113,7 +113,7 @@ pub(super) fn model(root: &Path) -> Result<Found> {
     Ok(Found { folder: best, warning: Some(warning) })
 }
 
-/// Number of images of a model; 0 if it is broken.
+/// Returns the number of images of a model, or 0 if the model is broken.
 fn images_in(folder: &Path) -> u64 {
     let head = || {
         let mut head = [0; 8];
@@ -132,7 +132,7 @@ fn images_in(folder: &Path) -> u64 {
 }
 
 impl Model {
-    /// Reads the model in a folder; binary files take precedence, points may be missing.
+    /// Reads the model in a folder. Binary files take precedence; the file of points may be missing.
     ///
     /// # Errors
     /// As [`Model::parse`], and files that cannot be read.
@@ -160,8 +160,8 @@ impl Model {
     }
 }
 
-/// A text in UTF-8. Characters of a code page are replaced: they occur in names of photographs, and file names are
-/// converted in the same way.
+/// Converts a text to UTF-8. Characters of a code page are replaced: they occur in names of photographs, and file names
+/// are converted in the same way.
 fn readable(bytes: &[u8]) -> Vec<u8> {
     String::from_utf8_lossy(&decoded(bytes)).into_owned().into_bytes()
 }
@@ -175,17 +175,17 @@ impl Encoding {
     }
 }
 
-/// File of the images in a folder with a model, for messages.
+/// Returns the file of the images in a folder with a model, for messages.
 pub(super) fn images_file(folder: &Path) -> PathBuf {
     folder.join(format!("images.{}", encoding(folder).unwrap_or(Encoding::Binary).extension()))
 }
 
-/// The folder of the photographs: `stated` within the scene, or the first that holds one of the named files.
+/// Returns the folder of the photographs: `stated` within the scene, or the first folder that holds one of the files `names`.
 pub(super) fn photographs(root: &Path, stated: &str, model: &Path, names: &[&str]) -> Result<PathBuf> {
     if !stated.is_empty() {
         return pictures::stated(root, stated);
     }
-    // A relative path has no parents beyond its beginning.
+    // A relative path has no ancestors above its first folder, so it is made absolute.
     let model = std::path::absolute(model).unwrap_or_else(|_| model.into());
     let above = model.ancestors().skip(1).take(LEVELS_UP).map(|folder| folder.join("images"));
     let folders: Vec<PathBuf> = [root.join("images"), root.into()].into_iter().chain(above).collect();

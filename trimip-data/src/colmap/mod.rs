@@ -1,5 +1,5 @@
-//! Captures with a sparse model of COLMAP: text or binary files, a camera model for each camera, poses, and points. World frame
-//! and units of the model are kept; cameras get OpenGL axes.
+//! Captures with a sparse model of COLMAP: text or binary files, a camera model for each camera, poses, and points.
+//! World frame and units of the model are kept; camera axes are converted to OpenGL's.
 
 mod binary;
 mod capture;

@@ -1,9 +1,9 @@
-//! A sparse model of COLMAP as its files hold it: cameras, images with poses, points with tracks. Axes of COLMAP: x right,
-//! y down, z forward; poses are world-to-camera.
+//! A sparse model of COLMAP as its files hold it: cameras, images with poses, points with tracks. Camera axes are
+//! COLMAP's: x right, y down, z forward; poses are world-to-camera.
 
 use super::lenses::ModelCamera;
 
-/// How the files of a model are written.
+/// Encoding of the files of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// `cameras.txt`, `images.txt`, `points3D.txt`.
@@ -24,7 +24,7 @@ pub struct File<'a> {
 /// An image of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModelImage {
-    /// Its number, which tracks name.
+    /// Its number, by which tracks refer to it.
     pub id: u32,
     /// Number of its camera.
     pub camera: u32,
@@ -34,7 +34,7 @@ pub struct ModelImage {
     pub translation: [f64; 3],
     /// Path of the photograph in the folder of images.
     pub name: String,
-    /// Places of its features, pixels.
+    /// Positions of its features, pixels.
     pub places: Box<[[f64; 2]]>,
 }
 
@@ -43,29 +43,29 @@ pub struct ModelImage {
 pub struct ModelPoint {
     /// Its number.
     pub id: u64,
-    /// World units.
+    /// Position in world units.
     pub position: [f64; 3],
-    /// Red, green, blue.
+    /// Colour: red, green, blue.
     pub color: [u8; 3],
     /// Mean reprojection error in pixels; negative if it is unknown.
     pub error: f64,
-    /// Pairs of the number of an image and the index of one of its features.
+    /// The observations of the point, as pairs of the number of an image and the index of one of its features.
     pub track: Box<[[u32; 2]]>,
 }
 
 /// A sparse model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// In the order of the file.
+    /// Cameras in the order of the file.
     pub cameras: Vec<ModelCamera>,
-    /// In the order of the file.
+    /// Images in the order of the file.
     pub images: Vec<ModelImage>,
-    /// In the order of the file; empty without the file.
+    /// Points in the order of the file; empty if there is no such file.
     pub points: Vec<ModelPoint>,
 }
 
 impl ModelImage {
-    /// The entry in words.
+    /// Describes the entry for messages.
     pub(super) fn place(&self) -> String {
         format!("image {} ({})", self.id, self.name)
     }

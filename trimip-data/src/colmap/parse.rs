@@ -1,4 +1,4 @@
-//! Reads a model from the bytes of its files, and checks across them that entries are unique and refer to existing ones.
+//! Reads a model from the bytes of its files, and checks that entries are unique and refer to existing entries of the other files.
 
 use super::{
     binary,
@@ -9,8 +9,8 @@ use std::fmt::Display;
 use trimip_core::{Error, Result};
 
 impl Model {
-    /// Reads the model in the bytes of its files. The model takes at most twice the size of binary files in memory, and
-    /// of text files as COLMAP writes them. Text files with the shortest possible lines take six times their size.
+    /// Reads a model from the bytes of its files. In memory, the model takes at most twice the size of its files, if
+    /// they are binary or text as COLMAP writes it. Text with the shortest possible lines takes six times its size.
     ///
     /// # Errors
     /// Of kind `Input`: invalid syntax, numbers that are not finite, entries that occur twice, references to missing
@@ -104,7 +104,7 @@ fn sorted<T: Ord>(ids: impl ExactSizeIterator<Item = T>) -> Vec<T> {
     ids
 }
 
-/// The first of the sorted numbers that occurs twice.
+/// Returns the first of the sorted numbers that occurs twice.
 fn double<T: Copy + PartialEq + Display>(ids: &[T]) -> Option<T> {
     ids.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
 }

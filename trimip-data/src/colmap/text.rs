@@ -8,7 +8,7 @@ use super::{
 use std::str::{FromStr, SplitAsciiWhitespace};
 use trimip_core::{Error, Result, text::without_mark};
 
-/// Least bytes of a camera: the shortest model with four parameters of one digit.
+/// Least bytes of a camera: `1 PINHOLE 1 1 1 1 1 1` and a line break.
 const CAMERA: usize = 22;
 /// Least bytes of a point: eight numbers of one digit.
 const POINT: usize = 16;
@@ -75,7 +75,7 @@ pub(super) fn images(file: File<'_>) -> Result<Vec<ModelImage>> {
     Ok(images)
 }
 
-/// The places in the second line of an image.
+/// Reads the positions of features in the second line of an image.
 fn places(mut line: Line<'_>, image: u32) -> Result<Vec<[f64; 2]>> {
     let count = line.words.clone().count();
     if !count.is_multiple_of(3) {
@@ -117,7 +117,7 @@ pub(super) fn points(file: File<'_>) -> Result<Vec<ModelPoint>> {
     Ok(points)
 }
 
-/// The rest of a line after its first `count` words.
+/// Returns the rest of a line after its first `count` words.
 fn after_words(line: &str, count: usize) -> &str {
     let mut rest = line.trim_ascii();
     for _ in 0..count {
@@ -141,7 +141,7 @@ impl<'a> Lines<'a> {
         Self { file: File { bytes, ..file }, at: 0, number: 0 }
     }
 
-    /// Number of lines that are neither empty nor comments.
+    /// Returns the number of lines that are neither empty nor comments.
     fn entries(&self) -> usize {
         let lines = self.file.bytes.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
         lines.filter(|line| !line.is_empty() && line[0] != b'#').count()
@@ -163,7 +163,7 @@ impl<'a> Iterator for Lines<'a> {
     }
 }
 
-/// A line, and its words that are not read yet.
+/// A line, and the words of it that have not been read.
 struct Line<'a> {
     file: &'a str,
     number: usize,
@@ -201,17 +201,17 @@ impl<'a> Line<'a> {
         Err(self.wrong(format!("{expected} is {value}, not a finite number"), "export the model again"))
     }
 
-    /// A number of pixels; some exporters write 1920.0.
+    /// Reads a number of pixels; some exporters write 1920.0.
     fn side(&mut self, expected: &str) -> Result<u64> {
         let side: f64 = self.number(expected)?;
-        // The cast saturates; the range is checked with the camera.
+        // The cast saturates; [`ModelCamera::new`] checks the range.
         if side.fract() == 0.0 && side >= 0.0 {
             return Ok(side as u64);
         }
         Err(self.wrong(format!("{side} is not {expected}"), "correct the line or export the model again"))
     }
 
-    /// A parameter of a camera. Where its calibration failed, it is NaN, in the notation of any system's library.
+    /// Reads a parameter of a camera. After a failed calibration it is NaN, which each system's library writes in its own way.
     fn parameter(&mut self) -> Result<f64> {
         let word = self.words.clone().next().unwrap_or_default().to_ascii_lowercase();
         let unsigned = word.trim_start_matches(['-', '+']);

@@ -22,10 +22,10 @@ const INTRINSICS: &str = "lowres_wide_intrinsics";
 /// Folders of depth images (16-bit millimetres) and confidence images (0 to 2), named like the photographs (DATA.md).
 const DEPTHS: [&str; 2] = ["lowres_depth", "confidence"];
 
-/// The time of a pose may differ by this from that of its photograph, seconds.
+/// Largest difference between the times of a pose and of its photograph, seconds.
 const MOST_APART: f64 = 5e-3;
 
-/// Possible differences between the times in the names of a photograph and of its intrinsics, seconds: both are rounded.
+/// Possible differences between the time in the name of a photograph and that in the name of its intrinsics, seconds: both are rounded.
 const STEPS: [f64; 3] = [0.0, -1e-3, 1e-3];
 
 const ADVICE: &str = "download the scene again";
@@ -75,11 +75,11 @@ pub(super) static READER: Reader = Reader {
     ],
 };
 
-/// A trajectory and the intrinsics of a photograph as in the files.
+/// Examples of a trajectory and of the intrinsics of a photograph, as in the files.
 const TRAJECTORY: &str = "10.25 0.1 0.2 0.3 0.25 0.5 4\n10.5 0.1 -0.2 0.3 0.5 0.5 4\n";
 const PINCAM: &str = "8 6 9 9.5 4.1 3.2\n";
 
-/// A camera for each pose, named by its number.
+/// Returns a camera for each pose, named by its number.
 fn cameras_of_trajectory(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     let path = Path::new(INTRINSICS);
     let intrinsics = intrinsics(path, &numbers::parse(path, PINCAM.as_bytes(), ADVICE)?)?;
@@ -100,7 +100,7 @@ fn camera_of_intrinsics(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 /// A line of the trajectory: time, rotation around an axis, translation.
 type Line = [f64; 7];
 
-/// The poses of the lines of a file, in order of time.
+/// Parses poses from the lines of a file, and sorts them by time.
 fn poses(path: &Path, lines: Vec<Vec<f64>>) -> Result<Vec<Line>> {
     let pose = |(index, line): (usize, Vec<f64>)| {
         let found = count(line.len(), "number");
@@ -117,7 +117,7 @@ fn poses(path: &Path, lines: Vec<Vec<f64>>) -> Result<Vec<Line>> {
     Ok(poses)
 }
 
-/// The pose nearest in time, if it is near enough.
+/// Returns the pose nearest in time, if it is near enough.
 fn near(poses: &[Line], time: f64) -> Option<&Line> {
     let after = poses.partition_point(|pose| pose[0] < time);
     let apart = |pose: &&Line| (pose[0] - time).abs();
@@ -125,7 +125,7 @@ fn near(poses: &[Line], time: f64) -> Option<&Line> {
     around.min_by(|a, b| apart(a).total_cmp(&apart(b))).filter(|pose| apart(pose) < MOST_APART)
 }
 
-/// Rotation and centre of the camera of a pose, if they are finite.
+/// Returns the rotation and the centre of the camera of a pose, if they are finite.
 fn placed(&[_, x, y, z, tx, ty, tz]: &Line) -> Option<(DMat3, DVec3)> {
     let (rotation, origin) = vision_pose(pose::around(DVec3::new(x, y, z)), DVec3::new(tx, ty, tz));
     (rotation.is_finite() && origin.is_finite()).then_some((rotation, origin))
@@ -135,7 +135,7 @@ fn not_finite(place: &Place) -> Error {
     Error::input(place, "has a pose that is not finite", ADVICE)
 }
 
-/// The frame of a photograph; `None` without a pose.
+/// Returns the frame of a photograph, or `None` if there is no pose.
 fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>> {
     let place = Place::from(photograph);
     let name = names::stem(&photograph.file_name().unwrap_or_default().to_string_lossy());
@@ -161,7 +161,7 @@ fn frame(root: &Path, photograph: &Path, poses: &[Line]) -> Result<Option<Frame>
     }))
 }
 
-/// The intrinsics of the lines of a file.
+/// Reads intrinsics from the lines of a file.
 fn intrinsics(path: &Path, lines: &[Vec<f64>]) -> Result<Intrinsics> {
     let wrong = |what: String| Error::input(path.display(), what, ADVICE);
     let all = lines.concat();

@@ -1,5 +1,5 @@
-//! The Blender/NeRF layout, also of Instant-NGP and nerfstudio: `transforms_{split}.json`, or one `transforms.json` with all
-//! frames. Frame keys override file keys. Poses and lengths are used as they are written.
+//! The Blender/NeRF layout, which Instant-NGP and nerfstudio also use: `transforms_{split}.json`, or one
+//! `transforms.json` with all frames. Frame keys override file keys. Poses and lengths are used as they are written.
 
 use super::reader::{CameraFile, OpenScene, Reader};
 use crate::{
@@ -21,7 +21,7 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use trimip_core::{Camera, Error, Place, Result};
 
-/// Its value of `data.format`.
+/// Value of `data.format` for this layout.
 pub(crate) const FORMAT: &str = "blender";
 
 pub(super) static READER: Reader = Reader {
@@ -41,17 +41,17 @@ pub(super) static READER: Reader = Reader {
     }],
 };
 
-/// Units of poses for each unit of a depth image, if the file states none (nerfstudio).
+/// Default for units of poses per unit of a depth image (nerfstudio).
 const DEPTH_UNIT: f64 = 1e-3;
 
-/// One frame.
+/// Returns a file with one frame.
 fn example() -> Vec<u8> {
     let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]];
     let frames = json!([{ "file_path": "0.png", "transform_matrix": pose }]);
     json!({ "camera_angle_x": 0.7, "frames": frames }).to_string().into_bytes()
 }
 
-/// A folder with transforms files, which are read with their splits.
+/// A folder with transforms files; each file is read when its split is.
 struct Folder {
     root: PathBuf,
     pictures: Pictures,
@@ -86,8 +86,8 @@ impl OpenScene for Folder {
 /// Beginnings of the names of transforms files; some exporters leave out the s.
 const PREFIXES: [&str; 2] = ["transforms", "transform"];
 
-/// Names of the splits with a file of their own. Such files next to `transforms.json` are other versions of it, unless
-/// one of them holds the training frames.
+/// Returns the names of the splits with a file of their own. Such files next to `transforms.json` count as other
+/// versions of that file, unless one of them holds the training frames.
 pub(crate) fn splits(root: &Path) -> Vec<String> {
     let Ok(entries) = root.read_dir() else { return Vec::new() };
     let mut names: Vec<String> = entries
@@ -109,13 +109,13 @@ pub(crate) fn splits(root: &Path) -> Vec<String> {
 /// The split of the training frames.
 const TRAIN: &str = "train";
 
-/// The file of a split.
+/// Returns the path of the file of a split.
 fn split_file(root: &Path, split: &str) -> PathBuf {
     let [first, other] = PREFIXES.map(|prefix| root.join(format!("{prefix}_{split}.json")));
     if first.is_file() || !other.is_file() { first } else { other }
 }
 
-/// True if a folder has frames of a split.
+/// Returns true if a folder has frames of a split.
 fn has_split(folder: &Folder, split: &str) -> Result<bool> {
     let root = &folder.root;
     let found = splits(root);
@@ -127,19 +127,19 @@ fn has_split(folder: &Folder, split: &str) -> Result<bool> {
     Ok(lists.is_empty() || lists.contains(&split))
 }
 
-/// True if splits have files of their own, or the file of all frames lists them.
+/// Returns true if splits have files of their own, or the file of all frames lists them.
 fn states_splits(folder: &Folder) -> Result<bool> {
     Ok(!splits(&folder.root).is_empty() || !lists(&folder.root)?.is_empty())
 }
 
-/// The splits that the file of all frames lists.
+/// Returns the splits that the file of all frames lists.
 fn lists(root: &Path) -> Result<Vec<&'static str>> {
     let path = undivided(root);
     let document = json::read(&path)?;
     Ok(division::listed(&Node::new(path.display(), &document)?))
 }
 
-/// False for a file none of whose photographs exists: BlenderNeRF writes the cameras of test frames that it does not
+/// Returns false if no photograph of a file exists: BlenderNeRF writes the cameras of test frames that it does not
 /// render. Errors in the file are reported when it is read.
 fn has_photographs(pictures: &Pictures, path: &Path) -> bool {
     let Ok(document) = json::read(path) else { return true };
@@ -148,13 +148,13 @@ fn has_photographs(pictures: &Pictures, path: &Path) -> bool {
     named.is_empty() || named.iter().any(|named| pictures.find(named, &path.into()).is_ok())
 }
 
-/// The file that holds all frames of a folder.
+/// Returns the path of the file that holds all frames of a folder.
 pub(crate) fn undivided(root: &Path) -> PathBuf {
     let [first, other] = PREFIXES.map(|prefix| root.join(format!("{prefix}.json")));
     if first.is_file() || !other.is_file() { first } else { other }
 }
 
-/// The frames of `split` with the headers of their images.
+/// Reads the frames of `split` and the headers of their images.
 fn read(folder: &Folder, split: &str) -> Result<Split> {
     let root = &folder.root;
     let found = splits(root);
@@ -175,7 +175,7 @@ fn read(folder: &Folder, split: &str) -> Result<Split> {
     read_file(folder, &path, split, |file, entries| division::divide(&path, file, entries, split))
 }
 
-/// All frames of the file without splits; `None` if the splits have files of their own.
+/// Reads all frames of the file without splits. Returns `None` if the splits have files of their own.
 fn read_all(folder: &Folder) -> Result<Option<Split>> {
     if !splits(&folder.root).is_empty() {
         return Ok(None);
@@ -183,7 +183,7 @@ fn read_all(folder: &Folder) -> Result<Option<Split>> {
     read_file(folder, &undivided(&folder.root), "train", |_, _| Ok(Selection::All)).map(Some)
 }
 
-/// The frames of a file that `divide` chooses.
+/// Reads the frames of a file that `divide` chooses.
 fn read_file(
     folder: &Folder,
     path: &Path,
@@ -223,8 +223,8 @@ fn read_file(
     Ok(Split { sources, warnings, notes, ..facts })
 }
 
-/// Names and cameras of all frames of a transforms file, whose photographs have `size` where none is stated. Checks
-/// everything that needs no photograph.
+/// Returns the names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
+/// Checks everything that needs no photograph.
 pub(crate) fn cameras(path: &Path, bytes: &[u8], size: [u32; 2]) -> Result<Vec<(String, Camera)>> {
     let document = json::parse(path, bytes)?;
     let transforms = Transforms::new(path, &document)?;
@@ -280,7 +280,7 @@ impl<'a> Transforms<'a> {
     }
 }
 
-/// The path that an entry states for its photograph.
+/// Returns the path that an entry states for its photograph.
 fn named(entry: &Value) -> Option<&str> {
     entry.get("file_path").and_then(Value::as_str)
 }
@@ -296,13 +296,13 @@ struct Entry<'a> {
 }
 
 impl Entry<'_> {
-    /// The camera of a photograph of that size.
+    /// Returns the camera for a photograph of `width` × `height` pixels.
     fn camera(&self, file: &Node<'_>, width: u32, height: u32) -> Result<Camera> {
         let (rotation, origin) = self.pose;
         Ok(Camera { intrinsics: intrinsics(file, &self.frame, width, height)?, rotation, origin })
     }
 
-    /// Returns the photograph turned as its camera sees it, the camera at the size of the photograph, and the factors
+    /// Returns the photograph, turned as its camera sees it; the camera at the size of the photograph; and the factors
     /// from the stated size to this size.
     fn seen_by(&self, file: &Node<'_>, image: Photograph) -> Result<(Photograph, Camera, [f64; 2])> {
         if let (Some(width), Some(height)) = (self.size.width, self.size.height) {
@@ -317,8 +317,8 @@ impl Entry<'_> {
     }
 }
 
-/// The depth image that a frame states. Its unit is `depth_unit_scale_factor` units of the original poses (nerfstudio's
-/// default is a thousandth). The poses of the file are `applied_scale` times the original ones.
+/// Returns the depth image that a frame states. Its unit is `depth_unit_scale_factor` units of the original poses
+/// (nerfstudio's default is a thousandth). The poses of the file are `applied_scale` times the original ones.
 fn depth(file: &Node<'_>, frame: &Node<'_>) -> Result<Option<DepthFile>> {
     let Some(path) = frame.text("depth_file_path")? else { return Ok(None) };
     let key = "depth_unit_scale_factor";
@@ -331,8 +331,8 @@ fn depth(file: &Node<'_>, frame: &Node<'_>) -> Result<Option<DepthFile>> {
     Ok(Some(DepthFile::new(path, factor * file.number("applied_scale")?.unwrap_or(1.0))))
 }
 
-/// Checks and describes the transform that nerfstudio applied to the original poses: the poses of the file are
-/// `applied_scale` · `applied_transform` · the original ones, and are used as they are.
+/// Checks and describes the transform that nerfstudio applied to the original poses. The poses of the file are
+/// `applied_scale` · `applied_transform` · the original ones; they are used as they are.
 fn applied(file: &Node<'_>) -> Result<Vec<String>> {
     if file.get("applied_transform").is_some() {
         pose::read(file, "applied_transform")?;
@@ -351,7 +351,7 @@ fn applied(file: &Node<'_>) -> Result<Vec<String>> {
     )])
 }
 
-/// A focal length in pixels that is given once for the file is valid for one image size only.
+/// Refuses images of different sizes if the file states one focal length in pixels for all of them: it is valid for one size only.
 fn check_shared_focal(
     file: &Node<'_>,
     entries: &[Value],

@@ -27,7 +27,7 @@ impl OpenScene for Builtin {
     }
 }
 
-/// Frames of a split, rendered on request.
+/// Returns the frames of a split, which are rendered on request.
 pub(crate) fn split(config: &DataConfig, split: &str) -> Result<Split> {
     for (key, value, range) in [
         ("data.builtin_size", config.builtin_size, 1..=16_384),

@@ -1,6 +1,6 @@
-//! Bundler's `bundle.out` with its list of photographs. A camera is a focal length in pixels, two radial coefficients and a
-//! world-to-camera pose with x right, y up and z backwards; its principal point is the middle of the photograph. A camera whose focal
-//! length is 0 was not placed (Snavely, Bundler's manual).
+//! Bundler's `bundle.out` with its list of photographs. A camera is a focal length in pixels, two radial coefficients
+//! and a world-to-camera pose with x right, y up and z backwards; its principal point is the middle of the photograph.
+//! If its focal length is 0, Bundler did not place it (Snavely, Bundler's manual).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -19,7 +19,7 @@ use trimip_core::{Error, Lens, Place, Result, plural::count, text};
 
 const FILE: &str = "bundle.out";
 
-/// Its usual paths.
+/// Usual paths of the file.
 const PLACES: [&str; 2] = [FILE, "bundle/bundle.out"];
 
 /// Names of the list of photographs, next to `bundle.out` or in the folder of the scene.
@@ -27,7 +27,7 @@ const LISTS: [&str; 3] = ["list.txt", "image_list.txt", "bundle.out.list.txt"];
 
 const ADVICE: &str = "export the cameras again (Bundler v0.3)";
 
-/// Least bytes of a camera and of a point: numbers of one digit each.
+/// Least bytes of a camera and of a point, whose numbers have at least one digit each.
 const CAMERA: usize = 15 * 2;
 const POINT: usize = 7 * 2;
 
@@ -52,7 +52,7 @@ fn path(root: &Path) -> Option<PathBuf> {
     files::first(root, &PLACES)
 }
 
-/// The photographs in order of the cameras: the first word of each line.
+/// Returns the photographs in order of the cameras: the first word of each line.
 fn list(root: &Path, bundle: &Path) -> Result<Vec<String>> {
     let folders = [bundle.parent().unwrap_or(root), root];
     let places = folders.iter().flat_map(|folder| LISTS.map(|name| folder.join(name)));
@@ -69,7 +69,7 @@ fn list(root: &Path, bundle: &Path) -> Result<Vec<String>> {
     Ok(lines.map(|line| line.split_ascii_whitespace().next().unwrap_or(line).to_string()).collect())
 }
 
-/// Two cameras and a point.
+/// Returns a file with two cameras and a point.
 fn example() -> Vec<u8> {
     let camera = |x: f64| format!("9 0.01 -0.002\n1 0 0\n0 1 0\n0 0 1\n{x} 0.5 -4\n");
     let point = "0.1 0.2 0.3\n9 99 199\n2 0 0 1.5 -0.5 1 0 1.25 -0.5\n";
@@ -89,7 +89,7 @@ struct Bundle {
 }
 
 impl Bundle {
-    /// `photograph` returns the name of a camera's photograph.
+    /// Reads a file. `photograph` returns the name of a camera's photograph.
     fn read(name: &str, bytes: &[u8], photograph: impl Fn(usize) -> Option<String>) -> Result<Self> {
         let text = String::from_utf8_lossy(&text::decoded(bytes)).into_owned();
         let body: String = text
@@ -174,7 +174,7 @@ impl Words<'_> {
         Ok(values)
     }
 
-    /// A count of at most `most`, which the file can hold.
+    /// Reads a count, and refuses one above `most`, which the file cannot hold.
     fn count(&mut self, most: usize) -> Result<usize> {
         let [value] = self.numbers()?;
         let fits = value >= 0.0 && value.fract() == 0.0 && value <= most as f64;

@@ -21,13 +21,13 @@ use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result, plural::count}
 
 const FILE: &str = "poses_bounds.npy";
 
-/// Numbers of a row.
+/// Number of columns.
 const COLUMNS: usize = 17;
 
 /// Advice for an invalid file.
 const ADVICE: &str = "compute the poses again (imgs2poses.py of LLFF)";
 
-/// Folders of photographs in the order in which they are tried, if none is named; the number is LLFF's factor of reduction.
+/// Folders of photographs that are tried in this order if the settings name none; the number is LLFF's factor of reduction.
 const FOLDERS: [&str; 3] = ["images", "images_4", "images_8"];
 
 pub(super) static READER: Reader = Reader {
@@ -41,7 +41,7 @@ pub(super) static READER: Reader = Reader {
     camera_files: &[CameraFile { kind: "poses-bounds", file: FILE, cameras, example, memory: 16 }],
 };
 
-/// Two photographs.
+/// Returns a file of two photographs.
 fn example() -> Vec<u8> {
     let row = |x: f64| [0., 1., 0., x, 6., -1., 0., 0., 0., 8., 0., 0., 1., 4., 9., 1., 7.];
     let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': (2, {COLUMNS}), }}\n");
@@ -50,7 +50,7 @@ fn example() -> Vec<u8> {
     start.into_iter().chain(values).collect()
 }
 
-/// The cameras of a file, named by their numbers.
+/// Returns the cameras of a file, named by their numbers.
 fn cameras(name: &str, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
     let camera = |index: usize, row: &[f64; COLUMNS]| {
         let row = Row::new(&Place::part(name, format_args!("pose {index}")), row)?;
@@ -70,7 +70,7 @@ struct Row {
 }
 
 impl Row {
-    /// A row of the file; `place` names it.
+    /// Parses a row of the file; `place` names the row in errors.
     fn new(place: &Place, row: &[f64; COLUMNS]) -> Result<Self> {
         let wrong = |what: String| Error::input(place, what, ADVICE);
         let matrix = [0, 5, 10].map(|start| [row[start + 1], -row[start], row[start + 2], row[start + 3]]);
@@ -84,7 +84,7 @@ impl Row {
         Ok(Self { rotation, origin, size, focal })
     }
 
-    /// The camera of a photograph of `pixels`: its width and height may be different multiples of the stated ones.
+    /// Returns the camera for a photograph of `pixels`. Its width and its height may be different multiples of the stated ones.
     fn camera(&self, pixels: [u32; 2]) -> Camera {
         let [width, height] = pixels;
         let [fx, fy] = [0, 1].map(|side| self.focal * (f64::from(pixels[side]) / self.size[side]));
@@ -93,7 +93,7 @@ impl Row {
         Camera { intrinsics, rotation: self.rotation, origin: self.origin }
     }
 
-    /// True if both sides of a photograph are the stated ones times one factor, up to rounding to whole pixels.
+    /// Returns true if a photograph has the aspect ratio of the stated size, up to rounding to whole pixels.
     fn has_shape_of(&self, image: &Photograph) -> bool {
         let sides = [(image.width, self.size[0]), (image.height, self.size[1])];
         let [x, y] = sides.map(|(side, stated)| [-1.0, 1.0].map(|by| (f64::from(side) + by) / stated));
@@ -172,7 +172,7 @@ impl Capture {
         Ok(Split { sources, warnings, notes, ..Split::default() })
     }
 
-    /// A frame with the header of its photograph.
+    /// Returns a frame with the header of its photograph.
     fn source(&self, index: usize) -> Result<Source> {
         let (row, path) = (&self.poses[index], &self.photographs[index]);
         let place = place(&self.path, index, path);
@@ -210,13 +210,13 @@ impl OpenScene for Capture {
     }
 }
 
-/// A row of the file in words.
+/// Describes a row of the file.
 fn place(file: &Path, index: usize, photograph: &Path) -> Place {
     let name = photograph.file_name().unwrap_or_default();
     Place::part(file, format_args!("pose {index} ({})", name.display()))
 }
 
-/// The folder `named` in `root`, or the first usual one with photographs, and its photographs in order of their names.
+/// Returns the folder `named` in `root`, or the first usual one with photographs, and its photographs in order of their names.
 fn photographs(root: &Path, named: &str) -> Result<(PathBuf, Vec<PathBuf>)> {
     let tried: Vec<PathBuf> = match named {
         "" => FOLDERS.map(|folder| root.join(folder)).into(),

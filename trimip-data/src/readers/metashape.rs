@@ -1,6 +1,6 @@
 //! Cameras of Agisoft Metashape as XML (File, Export, Export Cameras): sensors with their calibrations, and camera-to-chunk
-//! matrices with x right, y down and z forward, in the units of the chunk. Principal points are counted from the middle of the
-//! photograph, and p1 and p2 are swapped relative to OpenCV (Metashape's manual, appendix on camera models).
+//! matrices with x right, y down and z forward, in the units of the chunk. Principal points are relative to the middle of
+//! the photograph, and p1 and p2 are swapped relative to OpenCV (Metashape's manual, appendix on camera models).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -24,7 +24,7 @@ use trimip_core::{
 /// The usual name of the file.
 const FILE: &str = "cameras.xml";
 
-/// Bytes at the beginning of an XML file that identify it.
+/// Number of bytes at the beginning of an XML file that are searched for a chunk.
 const HEAD: u64 = 4096;
 
 const ADVICE: &str = "export the cameras from Metashape again";
@@ -45,7 +45,7 @@ pub(super) static READER: Reader = Reader {
     camera_files: &[CameraFile { kind: "metashape", file: FILE, cameras, example, memory: 64 }],
 };
 
-/// The first XML file of a folder that holds a chunk of Metashape.
+/// Returns the first XML file of a folder that holds a chunk of Metashape.
 fn path(root: &Path) -> Option<PathBuf> {
     let is_export = |path: &PathBuf| {
         let mut head = Vec::new();
@@ -60,7 +60,7 @@ fn path(root: &Path) -> Option<PathBuf> {
     files.into_iter().find(is_export)
 }
 
-/// A sensor and two cameras.
+/// Returns a file with a sensor and two cameras.
 fn example() -> Vec<u8> {
     let camera = |x: f64| {
         format!(
@@ -164,13 +164,13 @@ impl Sensor<'_> {
         Error::input(&self.place, what, ADVICE)
     }
 
-    /// The adjusted calibration, or another one.
+    /// Returns the adjusted calibration or, if there is none, the first one.
     fn calibration(&self) -> Option<Node<'_, '_>> {
         let all = || self.node.children().filter(|node| node.has_tag_name("calibration"));
         all().find(|node| node.attribute("class") == Some("adjusted")).or_else(|| all().next())
     }
 
-    /// A coefficient; 0 if it is not stated.
+    /// Returns a coefficient, or 0 if it is not stated.
     fn term(&self, key: &str) -> Result<f64> {
         let stated =
             self.calibration().and_then(|node| node.children().find(|child| child.has_tag_name(key)));

@@ -35,7 +35,7 @@ pub(crate) static READERS: &[&Reader] = &[
     &builtin::READER,
 ];
 
-/// The reader that recognises the files in a folder.
+/// Returns the reader that recognises the files in a folder.
 pub(crate) fn found(root: &Path) -> Option<&'static Reader> {
     READERS.iter().copied().find(|reader| (reader.recognises)(root))
 }

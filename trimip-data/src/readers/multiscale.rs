@@ -1,5 +1,5 @@
 //! The public multi-scale layout: `metadata.json` with, per split, the arrays file_path, cam2world, width, height,
-//! focal, lossmult (4^level) and optionally pix2cam. There is one image file per view; nothing is averaged.
+//! focal, lossmult (4^level) and optionally pix2cam. Each view has an image file; nothing is averaged.
 
 use super::{
     reader::{CameraFile, OpenScene, Reader},
@@ -39,7 +39,7 @@ pub(super) static READER: Reader = Reader {
     ..Reader::PLAIN
 };
 
-/// One frame at one scale.
+/// Returns a file with one frame at one scale.
 fn example() -> Vec<u8> {
     let pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]];
     let train = json!({
@@ -83,7 +83,7 @@ impl Metadata {
 }
 
 impl OpenScene for Metadata {
-    /// Frames of `split` at the first `scales` scales.
+    /// Returns the frames of `split` at the first `scales` scales.
     fn split(&self, split: &str) -> Result<Split> {
         let scales = self.scales;
         let file = Node::new(self.path.display(), &self.document)?;
@@ -120,7 +120,7 @@ impl OpenScene for Metadata {
     }
 }
 
-/// Names and cameras of all entries of a file, split by split. Checks all that can be checked without the photographs.
+/// Returns the names and cameras of all entries of a file, split by split. Checks everything that needs no photograph.
 pub(crate) fn cameras(path: &Path, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
     let document = json::parse(path, bytes)?;
     let file = Node::new(path.display(), &document)?;
@@ -167,18 +167,18 @@ impl<'a> Table<'a> {
         Ok(Self { node, paths })
     }
 
-    /// The place of an entry, for errors.
+    /// Returns the place of an entry, for errors.
     fn place(&self, index: usize) -> Place {
         let part = format!("entry {index} ({})", self.paths[index].as_str().unwrap_or("no path"));
         self.node.place.within(part)
     }
 
-    /// A number of an entry.
+    /// Returns a number of an entry.
     fn value(&self, key: &str, index: usize) -> Result<f64> {
         self.number(key, index, "a number", |_| true)
     }
 
-    /// A positive number of an entry.
+    /// Returns a positive number of an entry.
     fn positive(&self, key: &str, index: usize) -> Result<f64> {
         self.number(key, index, "a number above 0", |value| value > 0.0)
     }
@@ -194,7 +194,7 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// j of lossmult = 4^j.
+    /// Returns the level j of an entry whose lossmult is 4^j.
     fn level(&self, index: usize) -> Result<u32> {
         let weight = self.positive("lossmult", index)?;
         (0..16).find(|&level| weight == f64::from(4_u32.pow(level))).ok_or_else(|| {
@@ -221,7 +221,7 @@ impl<'a> Table<'a> {
         Ok(Entry { name: stem(named), camera: self.camera(index)?, image })
     }
 
-    /// Path of the photograph of an entry.
+    /// Returns the path of the photograph of an entry.
     fn named(&self, index: usize) -> Result<&'a str> {
         let value = &self.paths[index];
         value.as_str().ok_or_else(|| {
@@ -230,7 +230,7 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// Width and height of an entry.
+    /// Returns the width and height of an entry.
     fn size(&self, index: usize) -> Result<[u32; 2]> {
         let whole = |value: f64| value >= 1.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0;
         let side = |key| self.number(key, index, "a whole number above 0", whole).map(|side| side as u32);
@@ -283,7 +283,7 @@ impl<'a> Table<'a> {
                 ..k
             };
         }
-        // These keys are written in addition to pix2cam for cameras that are not plain: the inverse of an inverse is not exact.
+        // For cameras that are not plain, the writer adds these keys to pix2cam, because inverting pix2cam rounds.
         let length = if self.node.get("fl_y").is_none() { k.fy } else { self.positive("fl_y", index)? };
         // After a crop the principal point may lie outside the image.
         let point = |key: &str, otherwise: f64| -> Result<f64> {
@@ -348,7 +348,7 @@ fn frames(place: &Place, entries: Vec<(u32, Entry)>) -> Result<Vec<Source>> {
     Ok(sources)
 }
 
-/// A value as in the file, shortened for a message.
+/// Formats a value for a message, shortened if it is long.
 fn short(value: &Value) -> String {
     let text = value.to_string();
     if text.chars().count() <= 40 { text } else { text.chars().take(40).collect::<String>() + ".." }

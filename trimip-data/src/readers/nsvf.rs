@@ -1,6 +1,6 @@
-//! The layout of NSVF's data sets, also of its Tanks and Temples: `rgb/` and `pose/` with one file of the same name per
-//! frame, `intrinsics.txt` and `bbox.txt`. Poses are camera-to-world with x right, y down and z forward. Names begin
-//! with the number of their split (Liu et al. 2020, README of NSVF).
+//! The layout of NSVF's data sets, among them its version of Tanks and Temples: `rgb/` and `pose/` with one file of the
+//! same name per frame, `intrinsics.txt` and `bbox.txt`. Poses are camera-to-world with x right, y down and z forward.
+//! Names begin with the number of their split (Liu et al. 2020, README of NSVF).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -17,10 +17,10 @@ use trimip_core::{Aabb, Error, Lens, Place, Result, scene_plan::StatedBox};
 const POSES: &str = "pose";
 const INTRINSICS: &str = "intrinsics.txt";
 
-/// The box of the scene: two corners, and perhaps the size of a voxel.
+/// File of the scene's box: two corners, and perhaps the size of a voxel.
 const BOX: &str = "bbox.txt";
 
-/// The splits by the number that names begin with.
+/// Beginnings of names, and the splits that they mean.
 const SPLITS: [(&str, &str); 3] = [("0_", "train"), ("1_", "val"), ("2_", "test")];
 
 const ADVICE: &str = "copy the file again";
@@ -64,7 +64,7 @@ pub(super) static READER: Reader = Reader {
     ],
 };
 
-/// A pose and a matrix of intrinsics as in the files.
+/// Examples of a pose and of a matrix of intrinsics, as in the files.
 const EXAMPLE_POSE: &str = "0.8 0 0.6 0.25\n0 1 0 0.5\n-0.6 0 0.8 4\n0 0 0 1\n";
 const EXAMPLE_INTRINSICS: &str = "9 0 4.1 0\n0 9.5 3.2 0\n0 0 1 0\n0 0 0 1\n";
 
@@ -78,13 +78,13 @@ fn camera_of_intrinsics(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     camera(POSES, &pose, name, &numbers::parse(Path::new(name), bytes, ADVICE)?)
 }
 
-/// The camera with the numbers of a pose file and of an intrinsics file.
+/// Returns the camera with the numbers of a pose file and of an intrinsics file.
 fn camera(pose: &str, rows: &[Vec<f64>], intrinsics: &str, matrix: &[Vec<f64>]) -> Result<NamedCameras> {
     let frame = frame(Path::new(pose), rows, calibration(Path::new(intrinsics), matrix)?)?;
     Ok(vec![(names::stem(&frame.named), frame.camera([8, 6]))])
 }
 
-/// The frame of a pose file with the numbers `rows`; its photograph has the same name.
+/// Returns the frame of a pose file with the numbers `rows`; its photograph has the same name.
 fn frame(path: &Path, rows: &[Vec<f64>], calibration: Calibration) -> Result<Frame> {
     let place = Place::from(path);
     let row = |i: usize| rows.get(i).and_then(|row| row.first_chunk()).copied();
@@ -98,7 +98,7 @@ fn frame(path: &Path, rows: &[Vec<f64>], calibration: Calibration) -> Result<Fra
     Ok(Frame { named: format!("rgb/{}", names::key(&name)), place, rotation, origin, calibration, split })
 }
 
-/// Focal lengths and principal point from the numbers of a file: a matrix, or a line with the focal length and the principal point.
+/// Reads focal lengths and principal point from the numbers of a file: a matrix, or a line with the focal length and the principal point.
 fn calibration(path: &Path, lines: &[Vec<f64>]) -> Result<Calibration> {
     let found = match lines {
         [first, second, ..] if first.len() == second.len() && first.len() >= 3 => {
@@ -119,7 +119,7 @@ fn calibration(path: &Path, lines: &[Vec<f64>]) -> Result<Calibration> {
     Ok(Calibration::Unsized { focal, centre: Some(centre), lens: Lens::default() })
 }
 
-/// The box of the scene, if its file exists.
+/// Reads the box of the scene, if its file exists.
 fn bounds(path: &Path) -> Result<Option<StatedBox>> {
     if !path.is_file() {
         return Ok(None);

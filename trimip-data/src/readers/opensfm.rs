@@ -1,6 +1,6 @@
-//! OpenSfM's `reconstruction.json`, also of OpenDroneMap: an array of reconstructions with cameras, shots and points. Poses are
+//! OpenSfM's `reconstruction.json`, which OpenDroneMap also writes: an array of reconstructions with cameras, shots and points. Poses are
 //! world-to-camera, a rotation axis times an angle and a translation, with x right, y down and z forward. Focal lengths and principal
-//! points are multiples of the longer side; principal points are counted from the middle of the photograph (OpenSfM, Geometric Models).
+//! points are multiples of the longer side; principal points are relative to the middle of the photograph (OpenSfM, Geometric Models).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -22,7 +22,7 @@ use trimip_core::{Error, Intrinsics, Lens, Place, Result, geometry::projections:
 
 const FILE: &str = "reconstruction.json";
 
-/// Its usual paths: OpenDroneMap keeps it in a folder of its own.
+/// Usual paths of the file: OpenDroneMap stores it in a folder of its own.
 const PLACES: [&str; 3] = [FILE, "opensfm/reconstruction.json", "undistorted/reconstruction.json"];
 
 pub(super) static READER: Reader = Reader {
@@ -44,7 +44,7 @@ fn path(root: &Path) -> Option<PathBuf> {
     files::first(root, &PLACES)
 }
 
-/// A camera and two shots.
+/// Returns a file with a camera and two shots.
 fn example() -> Vec<u8> {
     let camera = json!({ "projection_type": "perspective", "width": 8, "height": 6, "focal": 0.9, "k1": 0.01, "k2": -0.002 });
     let shot = |x: f64| json!({ "rotation": [0.1, x, 0.3], "translation": [x, 0.5, 4.0], "camera": "phone" });
@@ -72,7 +72,7 @@ impl Reconstruction {
         let all = document.as_array().map(Vec::as_slice).unwrap_or_default();
         let shots =
             |value: &Value| value.get("shots").and_then(Value::as_object).map_or(0, serde_json::Map::len);
-        // The first of several with the same number.
+        // Among reconstructions with equally many shots, the first is taken.
         let Some((index, best)) = all.iter().enumerate().rev().max_by_key(|(_, value)| shots(value)) else {
             let advice = "expected an array of reconstructions, as OpenSfM writes it";
             return Err(Error::input(path.display(), "holds no reconstruction", advice));
@@ -135,14 +135,14 @@ impl Reconstruction {
     }
 }
 
-/// The entries of an object under a key.
+/// Returns the entries of an object under a key.
 fn entries<'a>(node: &Node<'a>, key: &str) -> Result<Vec<(&'a str, &'a Value)>> {
     let value = node.required(key)?;
     let object = value.as_object().ok_or_else(|| node.unexpected(key, "an object", value))?;
     Ok(object.iter().map(|(name, value)| (name.as_str(), value)).collect())
 }
 
-/// Three finite numbers.
+/// Reads three finite numbers.
 fn vector(node: &Node<'_>, key: &str) -> Result<DVec3> {
     let value = node.required(key)?;
     let numbers = value.as_array().filter(|numbers| numbers.len() == 3);

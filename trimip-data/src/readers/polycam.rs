@@ -1,6 +1,6 @@
-//! A raw export of Polycam: a JSON file for each photograph in `keyframes/`. Corrected poses are read if the export has
-//! them. Keys `t_00` to `t_23` are the rows of a camera-to-world matrix with OpenGL axes, in ARKit's world with y up.
-//! The world is turned so that z is up, as in nerfstudio.
+//! A raw export of Polycam: a JSON file for each photograph in `keyframes/`. The reader prefers corrected poses, if the
+//! export has them. Keys `t_00` to `t_23` are the rows of a camera-to-world matrix with OpenGL axes, in ARKit's world
+//! with y up. The reader turns the world so that z is up, as nerfstudio does.
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -26,7 +26,7 @@ const FOLDERS: [[&str; 2]; 2] = [
 /// where the depth is unreliable (Polycam's polyform, README).
 const DEPTHS: [&str; 2] = ["keyframes/depth", "keyframes/confidence"];
 
-/// The usual path of a pose.
+/// The usual path of a file with a pose.
 const FILE: &str = "keyframes/cameras/0.json";
 
 pub(super) static READER: Reader = Reader {
@@ -58,7 +58,7 @@ fn folders(root: &Path) -> Option<[&'static str; 2]> {
     FOLDERS.into_iter().find(|[poses, _]| root.join(poses).is_dir())
 }
 
-/// A pose.
+/// Returns a file with a pose.
 fn example() -> Vec<u8> {
     json!({
         "fx": 9.0, "fy": 9.5, "cx": 4.1, "cy": 3.2, "width": 8, "height": 6, "blur_score": 90.0,
@@ -76,7 +76,7 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     Ok(vec![(names::stem(&frame.named), frame.camera([8, 6]))])
 }
 
-/// The frame of a file; its photograph has the same name in `images`.
+/// Returns the frame of a file; its photograph has the same name in `images`.
 fn frame(path: &Path, document: &Value, images: &str) -> Result<Frame> {
     let node = Node::new(path.display(), document)?;
     let number = |key: &str| -> Result<f64> {
@@ -101,7 +101,7 @@ fn frame(path: &Path, document: &Value, images: &str) -> Result<Frame> {
     }
     let (cx, cy) = (number("cx")?, number("cy")?);
     let lens = Lens::default();
-    // Poses that newer versions have corrected state no size: lengths are in pixels of the photograph.
+    // Poses that newer versions have corrected state no size, so their lengths are in pixels of the photograph.
     let calibration = match (size.width, size.height) {
         (Some(width), Some(height)) => Calibration::Sized(Intrinsics { width, height, fx, fy, cx, cy, lens }),
         _ => Calibration::Unsized { focal: [fx, fy], centre: Some([cx, cy]), lens },

@@ -1,7 +1,8 @@
-//! Cameras of RealityCapture and RealityScan as CSV (Registration, "Internal/External camera parameters"). A line has the name of a
-//! photograph, its place, heading, pitch and roll in degrees, the focal length for a longer side of 36, the principal point from the middle
-//! as a multiple of the longer side, and Brown's coefficients. World axes are x to the east, y to the north and z up; a camera without
-//! rotation looks down, its upper side to the north (nerfstudio's importer; RealityCapture's article on registration export).
+//! Cameras of RealityCapture and RealityScan as CSV (Registration, "Internal/External camera parameters"). A line has
+//! the name of a photograph; its position; heading, pitch and roll in degrees; the focal length in millimetres for a
+//! longer side of 36 mm; the principal point relative to the middle, as a multiple of the longer side; and Brown's
+//! coefficients. World axes are x to the east, y to the north and z up. A camera without rotation looks down, and its
+//! upper side points north (nerfstudio's importer; RealityCapture's article on registration export).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -22,7 +23,7 @@ use trimip_core::{Error, Lens, Place, Result, text::decoded};
 /// The usual name of the file.
 const FILE: &str = "cameras.csv";
 
-/// Bytes at the beginning of a CSV file that identify it.
+/// Number of bytes at the beginning of a CSV file that are searched for the names of its columns.
 const HEAD: u64 = 4096;
 
 /// Required columns, and optional ones in the order of their use.
@@ -32,10 +33,10 @@ const OTHERS: [&str; 8] = ["px", "py", "k1", "k2", "k3", "k4", "t1", "t2"];
 /// Separators of columns.
 const SEPARATORS: [char; 3] = [',', ';', '\t'];
 
-/// The longer side for which focal lengths are stated.
+/// The longer side for which focal lengths are stated, millimetres.
 const SIDE: f64 = 36.0;
 
-/// Upper limit of focal lengths in millimetres, and of principal points in sides of a photograph.
+/// Upper limit of focal lengths in millimetres, and of principal points as multiples of the longer side.
 const MOST: f64 = 1e6;
 
 const ADVICE: &str = "export Internal/External camera parameters again";
@@ -60,7 +61,7 @@ pub(super) static READER: Reader = Reader {
     camera_files: &[CameraFile { kind: "realitycapture", file: FILE, cameras, example, memory: 96 }],
 };
 
-/// The CSV files of a folder that hold camera parameters.
+/// Returns the CSV files of a folder that hold camera parameters.
 fn paths(root: &Path) -> Vec<PathBuf> {
     let is_export = |path: &PathBuf| {
         let mut head = Vec::new();
@@ -75,7 +76,7 @@ fn paths(root: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// Two cameras.
+/// Returns a file with two cameras.
 fn example() -> Vec<u8> {
     let camera =
         |x: f64| format!("{x}.jpg,{x},2,3,170.5,85.25,-22.5,24.5,-9.5e-004,2e-4,0.01,-0.002,1e-3,0,1e-4,0\n");
@@ -88,7 +89,7 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     Ok(frames.iter().map(|frame| (names::stem(&frame.named), frame.camera([8, 6]))).collect())
 }
 
-/// Positions of the columns of a file.
+/// Indices of the columns of a file.
 struct Columns {
     separator: char,
     count: usize,
@@ -97,7 +98,7 @@ struct Columns {
 }
 
 impl Columns {
-    /// The columns that a line names; `None` if a needed one is missing.
+    /// Finds the columns that a line names. Returns `None` if a required one is missing.
     fn of(line: &str) -> Option<Self> {
         let line = line.trim().trim_start_matches('#');
         SEPARATORS.into_iter().find_map(|separator| {
@@ -115,7 +116,7 @@ impl Columns {
     }
 }
 
-/// The frames of a file.
+/// Returns the frames of a file.
 fn frames(name: &str, bytes: &[u8]) -> Result<Vec<Frame>> {
     let text = String::from_utf8_lossy(&decoded(bytes)).into_owned();
     let mut lines = text.lines().enumerate();
@@ -130,7 +131,7 @@ fn frames(name: &str, bytes: &[u8]) -> Result<Vec<Frame>> {
         .collect()
 }
 
-/// The frame of a line.
+/// Returns the frame of a line.
 fn frame(name: &str, index: usize, line: &str, columns: &Columns) -> Result<Frame> {
     let place = Place::line(name, index + 1);
     let wrong = |what: String| Error::input(&place, what, ADVICE);
@@ -159,7 +160,7 @@ fn frame(name: &str, index: usize, line: &str, columns: &Columns) -> Result<Fram
     if !(px.abs() < MOST && py.abs() < MOST) {
         return Err(wrong(format!("px, py: the principal point is {px}, {py}")));
     }
-    // A fit of Brown's model has more terms than one.
+    // A fit of Brown's model has more than one nonzero term.
     if k1 != 0.0 && [k2, k3, k4, t1, t2] == [0.0; 5] {
         let what = "k1: a single coefficient is that of the division model, which is not read";
         let advice =

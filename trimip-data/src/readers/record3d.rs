@@ -1,7 +1,7 @@
 //! A capture of Record3D: `metadata.json`, or `metadata` of an unpacked `.r3d` file, and `rgb/` or `rgbd/` with the
-//! photograph of each pose, named by its number. A pose is a quaternion (x, y, z, w) and a position, camera-to-world
-//! with OpenGL axes, in ARKit's world with y up. `K` is a matrix column by column; `perFrameIntrinsicCoeffs` has the
-//! focal lengths and the principal point of each photograph (as nerfstudio and Instant-NGP read them).
+//! photograph of each pose, named by its number. A pose is a quaternion (x, y, z, w) and a position, camera-to-world with
+//! OpenGL axes, in ARKit's world with y up. `K` is the matrix of intrinsics column by column; `perFrameIntrinsicCoeffs`
+//! has the focal lengths and the principal point of each photograph (as nerfstudio and Instant-NGP read them).
 
 use super::reader::{CameraFile, NamedCameras, Reader};
 use crate::{
@@ -20,7 +20,7 @@ use std::{
 };
 use trimip_core::{Error, Intrinsics, Lens, Place, Result, plural::count, text::decoded};
 
-/// Names of the file.
+/// Possible names of the file.
 const FILES: [&str; 2] = ["metadata.json", "metadata"];
 
 /// Keys that identify the file.
@@ -29,7 +29,7 @@ const KEYS: [&str; 2] = ["\"K\"", "\"poses\""];
 /// Folders of the photographs.
 const FOLDERS: [&str; 2] = ["rgb", "rgbd"];
 
-/// How far the length of a quaternion may be from 1.
+/// Largest difference between the length of a quaternion and 1.
 const TOLERANCE: f64 = 1e-3;
 
 const ADVICE: &str = "export the capture from Record3D again";
@@ -54,7 +54,7 @@ fn path(root: &Path) -> Option<PathBuf> {
     FILES.iter().map(|name| root.join(name)).find(|path| is_capture(path))
 }
 
-/// True for a file with poses of Record3D: other scenes have a file of the same name.
+/// Returns true for a file with poses of Record3D: other scenes have a file of the same name.
 pub(super) fn is_capture(path: &Path) -> bool {
     let Ok(bytes) = files::read(path) else { return false };
     let bytes = decoded(&bytes);
@@ -62,7 +62,7 @@ pub(super) fn is_capture(path: &Path) -> bool {
     KEYS.into_iter().all(has)
 }
 
-/// Two poses.
+/// Returns a file with two poses.
 fn example() -> Vec<u8> {
     let pose = |x: f64| json!([0.0, 0.6, 0.0, 0.8, x, 0.5, 4.0]);
     json!({ "w": 8, "h": 6, "K": [9.0, 0.0, 0.0, 0.0, 9.5, 0.0, 4.1, 3.2, 1.0], "poses": [pose(0.0), pose(0.25)] })
@@ -76,7 +76,7 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     Ok(frames.iter().map(|frame| (names::stem(&frame.named), frame.camera([8, 6]))).collect())
 }
 
-/// The frames of a file; their photographs are named by their number in the first folder.
+/// Returns the frames of a file. Their photographs are named by number, in the first folder.
 fn frames(path: &Path, document: &Value) -> Result<Vec<Frame>> {
     let file = Node::new(path.display(), document)?;
     let size = Size::named(&file, ["w", "h"])?;
@@ -126,7 +126,7 @@ fn frames(path: &Path, document: &Value) -> Result<Vec<Frame>> {
     poses.iter().enumerate().map(frame).collect()
 }
 
-/// Focal lengths and principal point of the matrix that holds for all photographs.
+/// Returns the focal lengths and the principal point in the matrix for all photographs.
 fn matrix(file: &Node<'_>) -> Result<[f64; 4]> {
     let value = file.required("K")?;
     let wrong = || file.unexpected("K", "a matrix of intrinsics, nine numbers column by column", value);
@@ -136,13 +136,13 @@ fn matrix(file: &Node<'_>) -> Result<[f64; 4]> {
     Ok([fx, fy, cx, cy])
 }
 
-/// An array of `N` numbers.
+/// Reads an array of `N` numbers.
 fn numbers<const N: usize>(value: &Value) -> Option<[f64; N]> {
     let values: Vec<f64> = value.as_array()?.iter().map(Value::as_f64).collect::<Option<_>>()?;
     values.try_into().ok()
 }
 
-/// Gives the photographs their names in the folder: numbers may have leading zeros.
+/// Replaces the names of the photographs by those in the folder, where numbers may have leading zeros.
 fn name_photographs(root: &Path, frames: &mut [Frame]) {
     let Some(folder) = FOLDERS.into_iter().find(|folder| root.join(folder).is_dir()) else { return };
     let mut called: HashMap<usize, String> = HashMap::new();

@@ -1,6 +1,6 @@
-//! Bundle adjustment: finds the cameras and points with the smallest reprojection errors (Triggs et al. 2000). The method of
-//! Levenberg and Marquardt minimises the sum of Huber's function of these errors. Points are eliminated from each step (the Schur
-//! complement), which leaves a dense system of six unknowns per camera and one focal length per lens.
+//! Bundle adjustment: finds the cameras and points with the smallest reprojection errors (Triggs et al. 2000). The
+//! Levenberg–Marquardt method minimises the sum of Huber's function of these errors. Points are eliminated from each
+//! step (the Schur complement), which leaves a dense system of six unknowns per camera and one focal length per lens.
 
 use super::cholesky;
 use crate::points::Observation;
@@ -8,27 +8,29 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 use trimip_core::{Camera, Intrinsics};
 
-/// Most steps, and the relative decrease of the cost below which the adjustment ends.
+/// Largest number of steps, and the relative decrease of the cost below which the adjustment ends.
 const MOST_STEPS: usize = 40;
 const SETTLED: f64 = 1e-5;
 
-/// Damping of the first step, as a multiple of the diagonal; factors after a step that lowers the cost and after one that does not.
+/// Damping as a multiple of the diagonal: its value for the first step, its factors after a step that lowers the cost
+/// and after one that does not, and its limits.
 const DAMPING: f64 = 1e-4;
 const RELAX: f64 = 0.3;
 const TIGHTEN: f64 = 5.0;
 const MOST_DAMPING: f64 = 1e6;
 const LEAST_DAMPING: f64 = 1e-9;
 
-/// Steps of a point while its cameras are fixed.
+/// Number of steps of a point while the cameras are fixed.
 const POINT_STEPS: usize = 8;
 
-/// Number of parts of the points that are summed in parallel. It is fixed, so that sums have the same bits for any number of threads.
+/// Number of parts into which the points are divided, to sum them in parallel. It is fixed, so that sums have the same
+/// bits for any number of threads.
 const PARTS: usize = 4;
 
-/// Unknowns of a camera: rotation and translation in its own axes; its focal length is an unknown of its lens.
+/// Number of unknowns of a camera: rotation and translation in the camera's axes. The focal length is an unknown of the lens.
 const POSE: usize = 6;
 
-/// A point and where it was seen.
+/// A point and its observations.
 #[derive(Clone, Debug)]
 pub(super) struct Seen {
     pub(super) position: DVec3,
@@ -37,22 +39,22 @@ pub(super) struct Seen {
 
 /// One observation, linearised around the current state.
 struct Linear {
-    /// Index of the camera's first unknown, and that of the lens.
+    /// Index of the camera's first unknown, and index of the lens's unknown.
     unknowns: [usize; 2],
-    /// Derivatives of the projection by the pose, the logarithm of the focal length, and the point.
+    /// Derivatives of the projection with respect to the pose, the logarithm of the focal length, and the point.
     by_pose: [[f64; POSE]; 2],
     by_focal: [f64; 2],
     by_point: [[f64; 3]; 2],
     /// Projection minus observation, pixels.
     residual: [f64; 2],
-    /// Huber's weight.
+    /// Weight of the observation in Huber's function.
     weight: f64,
 }
 
 /// Cameras that are adjusted.
 pub(super) struct Bundle<'a> {
     cameras: &'a mut [Camera],
-    /// The lens of each camera.
+    /// Index of the lens of each camera.
     lenses: Vec<usize>,
     lens_count: usize,
     /// Error above which Huber's function is linear, pixels.
@@ -60,7 +62,7 @@ pub(super) struct Bundle<'a> {
 }
 
 impl<'a> Bundle<'a> {
-    /// Cameras with the same intrinsics share one lens.
+    /// Creates a bundle; cameras with the same intrinsics share one lens.
     pub(super) fn new(cameras: &'a mut [Camera], huber: f64) -> Self {
         let mut known: Vec<Intrinsics> = Vec::new();
         let lens = |camera: &Camera| {
@@ -74,8 +76,8 @@ impl<'a> Bundle<'a> {
         Self { cameras, lenses, lens_count: known.len(), huber }
     }
 
-    /// Adjusts cameras and points. The scene stays about where it is: no photograph determines its position,
-    /// orientation and size, and damping keeps steps along them small.
+    /// Adjusts cameras and points. Photographs do not determine the position, orientation and size of the scene;
+    /// damping keeps changes of these small, so the scene stays about where it is.
     pub(super) fn adjust(&mut self, points: &mut [Seen]) {
         let mut damping = DAMPING;
         let mut cost = cost_of(self.cameras, points, self.huber);
@@ -104,7 +106,7 @@ impl<'a> Bundle<'a> {
         }
     }
 
-    /// The linearised observations of each point.
+    /// Returns the linearised observations of each point.
     fn linearised(&self, points: &[Seen]) -> Vec<Vec<Linear>> {
         let of_point = |point: &Seen| {
             let linear = |seen: &Observation| {
@@ -117,7 +119,7 @@ impl<'a> Bundle<'a> {
         points.par_iter().map(of_point).collect()
     }
 
-    /// The cameras and points after a step.
+    /// Returns the cameras and points after a step.
     fn step(
         &self,
         points: &[Seen],
@@ -141,7 +143,7 @@ impl<'a> Bundle<'a> {
             whole.right.iter_mut().zip(part.right).for_each(|(sum, value)| *sum += value);
         }
         for i in 0..n {
-            // A camera that sees nothing, and a lens without a focal length, stay.
+            // The constant keeps the matrix positive definite: a camera without observations, and a lens without a focal length, stay.
             whole.matrix[i * n + i] += damping * whole.diagonal[i] + 1e-12;
         }
         let x = cholesky::solve(&mut whole.matrix, &whole.right)?;
@@ -165,8 +167,8 @@ impl<'a> Bundle<'a> {
     }
 }
 
-/// The sum of Huber's function of all reprojection errors, which are capped at the longer side of the photograph. A
-/// point without an image in a camera has this largest error.
+/// Returns the sum of Huber's function of all reprojection errors, which are capped at the longer side of the
+/// photograph. A point without an image in a camera has this largest error.
 fn cost_of(cameras: &[Camera], points: &[Seen], huber: f64) -> f64 {
     let costs: Vec<f64> = points
         .par_iter()
@@ -184,7 +186,7 @@ fn cost_of(cameras: &[Camera], points: &[Seen], huber: f64) -> f64 {
 }
 
 impl Linear {
-    /// `None` if the camera has no image of the point.
+    /// Linearises an observation. Returns `None` if the camera has no image of the point.
     fn of(
         position: DVec3,
         seen: &Observation,
@@ -208,7 +210,7 @@ impl Linear {
         if !(error.is_finite() && by_local.as_flattened().iter().all(|value| value.is_finite())) {
             return None;
         }
-        // In the camera's axes a point moves by local × ω − τ.
+        // If the camera turns by ω and moves by τ, the point moves by local × ω − τ in the camera's axes.
         let by_pose = by_local.map(|row| {
             let row = DVec3::from(row);
             let turn = row.cross(local);
@@ -221,7 +223,7 @@ impl Linear {
         Some(Linear { unknowns, by_pose, by_focal, by_point, residual, weight })
     }
 
-    /// The derivatives by the unknowns of pose and lens.
+    /// Returns the derivatives with respect to the unknowns of the pose and of the lens, each with the index of its unknown.
     fn columns(&self) -> [([f64; 2], usize); POSE + 1] {
         std::array::from_fn(|i| match i {
             POSE => (self.by_focal, self.unknowns[1]),
@@ -229,7 +231,7 @@ impl Linear {
         })
     }
 
-    /// The coupling of the point to a step `x` of all cameras and lenses: Jₚᵀ·w·J·x.
+    /// Returns the coupling of the point to a step `x` of all cameras and lenses: Jₚᵀ·w·J·x.
     fn pull(&self, x: &[f64]) -> DVec3 {
         let mut moved = [0.0; 2];
         for (column, at) in self.columns() {
@@ -239,11 +241,11 @@ impl Linear {
     }
 }
 
-/// The damped system of one point.
+/// The damped normal equations of one point.
 struct Own {
-    /// (Σ w·Jₚᵀ·Jₚ + damping · its diagonal)⁻¹.
+    /// Inverse of the damped matrix: (Σ w·Jₚᵀ·Jₚ + damping · its diagonal)⁻¹.
     inverse: DMat3,
-    /// −Σ w·Jₚᵀ·r.
+    /// Right-hand side: −Σ w·Jₚᵀ·r.
     right: DVec3,
 }
 
@@ -261,17 +263,17 @@ impl Own {
         let diagonal = DVec3::new(matrix.x_axis.x, matrix.y_axis.y, matrix.z_axis.z);
         matrix += DMat3::from_diagonal((damping * diagonal).max(DVec3::splat(1e-12)));
         let inverse = matrix.inverse();
-        // A point on one line of sight stays.
+        // A point whose lines of sight coincide is not determined, so it stays.
         let inverse = if inverse.is_finite() { inverse } else { DMat3::ZERO };
         Self { inverse, right }
     }
 }
 
-/// The system of all cameras and lenses after points are eliminated.
+/// The normal equations of all cameras and lenses after points are eliminated.
 struct Reduced {
-    /// Lower triangle, [n, n].
+    /// Lower triangle of the matrix, [n, n].
     matrix: Vec<f64>,
-    /// The diagonal before points are eliminated, which damping multiplies.
+    /// Diagonal before points are eliminated; damping adds a multiple of it.
     diagonal: Vec<f64>,
     right: Vec<f64>,
     n: usize,
@@ -347,7 +349,7 @@ pub(super) fn triangulate(point: &mut Seen, cameras: &[Camera], huber: f64) {
 mod tests {
     use super::*;
 
-    /// Cameras on an arc around points, and what they see.
+    /// Returns cameras on an arc around points, and the points with their observations.
     fn scene() -> (Vec<Camera>, Vec<Seen>) {
         let intrinsics = Intrinsics {
             lens: trimip_core::Lens::perspective([0.02, -0.01, 0.0, 0.0], [0.001, 0.0], [0.0; 3]),
@@ -423,8 +425,8 @@ mod tests {
         }
     }
 
-    /// Half of the points have one observation that is wrong by up to 100 pixels. With Huber's function the other
-    /// observations still fit; with squares they do not.
+    /// Checks the effect of Huber's function: half of the points have one observation that is wrong by up to 100
+    /// pixels. With Huber's function the other observations still fit; with squares they do not.
     #[test]
     fn wrong_observations_do_little_harm() {
         let (true_cameras, mut disturbed) = scene();

@@ -1,4 +1,4 @@
-//! Symmetric positive definite systems of many unknowns.
+//! Solves symmetric positive definite systems of many unknowns.
 
 use rayon::prelude::*;
 
@@ -12,7 +12,7 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
     for first in (0..n).step_by(BLOCK) {
         let last = (first + BLOCK).min(n);
         let (above, below) = a.split_at_mut(last * n);
-        // The block on the diagonal.
+        // Factors the block on the diagonal.
         for i in first..last {
             for j in first..=i {
                 let sum = above[i * n + j]
@@ -24,7 +24,7 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
                 above[i * n + j] = value;
             }
         }
-        // The rows below it.
+        // Factors the rows below it.
         let diagonal = &above[first * n..];
         below.par_chunks_exact_mut(n).for_each(|row| {
             for j in first..last {
@@ -32,7 +32,7 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
                 row[j] = (row[j] - dot(&row[first..j], &factor[first..j])) / factor[j];
             }
         });
-        // Subtracts their part from the rest.
+        // Subtracts the contribution of these columns from the remaining matrix.
         let width = last - first;
         let panel: Vec<f64> =
             below.chunks_exact(n).flat_map(|row| row[first..last].iter().copied()).collect();
@@ -55,7 +55,7 @@ pub(super) fn solve(a: &mut [f64], b: &[f64]) -> Option<Vec<f64>> {
     Some(x)
 }
 
-/// Σ aᵢ·bᵢ, in eight sums that the compiler turns into vectors.
+/// Returns Σ aᵢ·bᵢ, in eight partial sums that the compiler vectorises.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
     let mut sums = [0.0; 8];
@@ -73,7 +73,7 @@ mod tests {
     fn the_solution_solves_the_system() {
         for n in [1, 5, 64, 65, 200] {
             let value = |i: usize, j: usize| ((i * 7 + j * j * 3 + 11) % 23) as f64 / 23.0 - 0.4;
-            // MᵀM + 1 is positive definite.
+            // MᵀM + I is positive definite.
             let a: Vec<f64> = (0..n * n)
                 .map(|at| {
                     let (i, j) = (at / n, at % n);

@@ -5,7 +5,7 @@ use crate::points::Point;
 /// Number of points that each pair of frames shares.
 pub(super) struct Covisibility {
     frames: usize,
-    /// [frames, frames].
+    /// Number of shared points, [frames, frames].
     shared: Vec<u32>,
 }
 
@@ -21,13 +21,14 @@ impl Covisibility {
         Self { frames, shared }
     }
 
-    /// Number of points that both frames saw.
+    /// Returns the number of points that both frames saw.
     pub(super) fn shared(&self, a: usize, b: usize) -> u32 {
         self.shared[a * self.frames + b]
     }
 
-    /// How strongly two sides are linked. The numerator counts shared points over all pairs of frames with one frame on each side. The
-    /// denominator counts them over all pairs within one side, and is the smaller of the two. `side` has an entry for each frame.
+    /// Returns how strongly two sides are linked: a numerator divided by a denominator. The numerator counts shared
+    /// points over all pairs of frames with one frame on each side. The denominator counts them over all pairs within
+    /// one side, that with the smaller count. `side` has an entry for each frame.
     pub(super) fn link(&self, side: &[bool]) -> f64 {
         let mut sums = [0.0; 3];
         for a in 0..self.frames {
@@ -40,8 +41,8 @@ impl Covisibility {
     }
 
     /// Divides the frames between `a` and `b` at the weakest link of the path from one to the other in the maximum
-    /// spanning tree (Kruskal). True for the frames on the side of `a`. The strength of a link is the number of shared
-    /// points over the number of points of the frame with fewer.
+    /// spanning tree (Kruskal). Returns true for the frames on the side of `a`. The strength of a link is the number of
+    /// shared points, divided by the number of points of the frame that has fewer.
     pub(super) fn side(&self, a: usize, b: usize) -> Vec<bool> {
         let mut links: Vec<(f64, usize, usize)> = Vec::new();
         for i in 0..self.frames {
@@ -67,7 +68,7 @@ impl Covisibility {
     }
 }
 
-/// Disjoint sets: each frame refers to another of its set, and the first one to itself.
+/// Disjoint sets: each frame refers to another frame of its set, and the root to itself.
 struct Sets(Vec<usize>);
 
 impl Sets {
@@ -92,7 +93,7 @@ mod tests {
 
     #[test]
     fn frames_are_divided_at_the_weakest_link() {
-        // Frames 0-1-2-3-4-5 in a row; between 2 and 3 few points, and 0 shares a few with 5 as well.
+        // The frames 0 to 5 are in a row. Frames 2 and 3 share few points, and so do 0 and 5, and 1 and 3.
         let mut points = Vec::new();
         for (views, times) in
             [([0, 1], 9), ([1, 2], 8), ([2, 3], 2), ([3, 4], 7), ([4, 5], 9), ([0, 5], 1), ([1, 3], 1)]
@@ -107,7 +108,7 @@ mod tests {
         let expected = [true, true, true, false, false, false, false];
         assert_eq!(covisibility.side(2, 3), expected);
         assert_eq!(covisibility.side(0, 5), expected);
-        // Across it are 2 + 1 + 1 points; of the sides with 9 + 8 and 7 + 9, the second has fewer.
+        // 2 + 1 + 1 points are shared across the link, 9 + 8 within one side and 7 + 9, the smaller count, within the other.
         assert_eq!(covisibility.link(&expected), 4.0 / 16.0);
         assert_eq!(covisibility.side(4, 1)[..6], expected.map(|side| !side)[..6]);
     }

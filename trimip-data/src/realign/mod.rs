@@ -1,11 +1,11 @@
-//! Detached parts of a model from structure from motion. Where a scene repeats itself, as in the pattern of a carpet, feature matches join
-//! photographs that show different places, and a mapper places a part of the photographs around a second copy of the scene. Each part fits
-//! its own photographs, so no reprojection error shows the mistake; photographs taken one after the other do.
+//! Detached parts of a model from structure from motion. Where a scene repeats itself, as in the pattern of a carpet, feature matches
+//! join photographs that show different places, and a mapper places a part of the photographs around a second copy of the scene. Each
+//! part fits its own photographs, so no reprojection error shows the mistake; jumps between photographs taken one after the other do.
 //!
-//! [`realign`] looks for jumps in the path of the cameras across which few points are shared. If the photographs on both sides of
-//! a jump look alike, and their points agree on one similarity that the model does not have, the part on one side is moved by
-//! this similarity. The part stays if both share too many points to be detached, or if the moved cameras would still be no
-//! neighbours. Points of both parts that look alike are then joined, and bundle adjustment fits all cameras to them.
+//! [`realign`] looks for jumps in the path of the cameras across which few points are shared. If the photographs on both sides of a jump
+//! look alike, and their points agree on one similarity that the model does not have, the part on one side is moved by this similarity.
+//! The part stays if the two parts share too many points to be detached, or if the move would not bring the cameras on both sides of the
+//! jump close together. Points of both parts that look alike are then joined, and bundle adjustment fits all cameras to them.
 
 mod bundle;
 mod cholesky;
@@ -31,45 +31,45 @@ use trimip_core::{
     plural::count,
 };
 
-/// Fewest and most frames of a model that is examined.
+/// Least and largest number of frames of a model that is examined.
 const FRAMES: [usize; 2] = [8, 4000];
 
 /// Most frames of a model whose cameras are adjusted. With more, the linear system of the adjustment takes gigabytes.
 const MOST_ADJUSTED: usize = 700;
 
-/// A jump is a step from one frame to the next that is longer than so many median steps, with less than this share of the median
-/// number of shared points.
+/// A jump is a step from one frame to the next that is longer than `JUMP` times the median step, and across which the
+/// frames share less than `FEW_SHARED` times the median number of shared points.
 const JUMP: f64 = 3.0;
 const FEW_SHARED: f64 = 0.25;
 
 /// Largest link between the two sides of a jump (`Covisibility::link`). Detached parts share only the few points that
-/// were matched wrongly: 0.026 in *bonsai*, where parts of one walk share 0.08 and more.
+/// were matched wrongly: their link is 0.026 in *bonsai*, where parts of one walk have links of 0.08 and more.
 const LOOSE: f64 = 0.05;
 
 /// Most jumps that are examined, and most parts that are moved.
 const MOST_JUMPS: usize = 16;
 const MOST_PARTS: usize = 4;
 
-/// Most patches of a frame at a jump, and of a frame whose points are joined.
+/// Most patches of a frame at a jump, and most patches of a frame whose points are joined.
 const PATCHES: [usize; 2] = [2000, 1000];
 
-/// Least matches that agree on a similarity, and least share of all matches: at a jump, of a second pair of frames there, and between
-/// frames whose points are joined.
+/// Least number of matches that agree on a similarity, and their least share of all matches: between the frames at a
+/// jump, between a second pair of frames there, and between frames whose points are joined.
 const AGREED: [(usize, f64); 3] = [(60, 0.6), (30, 0.4), (12, 0.4)];
 
-/// Largest share of matches that agree with the model as it is, at a jump across which the model is wrong.
+/// If the model is wrong at a jump, at most this share of the matches across the jump agrees with the model as it is.
 const IN_PLACE: f64 = 0.1;
 
-/// Largest distance of matches that agree, as a fraction of the longer side of the photograph.
+/// Largest reprojection distance of a match that agrees with a similarity, as a fraction of the longer side of the photograph.
 const TOLERANCE: f64 = 0.005;
 
 /// Number of random samples of three matches, each of which gives a similarity.
 const SAMPLES: u32 = 400;
 
-/// Number of frames of other parts to which the points of a frame are joined.
+/// Number of frames of other parts whose points are joined with those of a frame.
 const NEIGHBOURS: usize = 4;
 
-/// Observations of each frame for the adjustment: of points that were joined, and of others. Long tracks come first.
+/// Number of observations of each frame in the adjustment: of joined points, and of other points. Long tracks come first.
 const OBSERVATIONS: [usize; 2] = [300, 300];
 
 /// Huber's threshold and the largest error of an observation that is kept, as multiples of the model's median error.
@@ -77,7 +77,7 @@ const HUBER: f64 = 3.0;
 const LARGEST_ERROR: f64 = 8.0;
 
 /// Largest median error of an adjusted model, and of its joined points, as multiples of the median error before the
-/// adjustment. Parts that do not belong together have more.
+/// adjustment. Parts that do not belong together exceed these.
 const ADJUSTED: [f64; 2] = [1.5, 3.0];
 
 /// A model with detached parts.
@@ -91,7 +91,7 @@ pub(crate) struct Torn {
 /// A model whose parts are aligned.
 pub(crate) struct Aligned {
     pub(crate) cameras: Vec<Camera>,
-    /// With the tracks of the model, except for observations that do not fit the aligned model.
+    /// Points with the tracks of the model, except for observations that do not fit the aligned model.
     pub(crate) points: Vec<Point>,
 }
 
@@ -99,7 +99,7 @@ pub(crate) struct Aligned {
 pub(crate) struct Model<'a> {
     pub(crate) names: Vec<&'a str>,
     pub(crate) cameras: Vec<Camera>,
-    /// With tracks by frame.
+    /// Points with tracks of frames.
     pub(crate) points: Vec<Point>,
     /// Decodes the photograph of a frame.
     pub(crate) picture: &'a (dyn Fn(usize) -> Result<Gray> + Sync),
@@ -109,16 +109,16 @@ pub(crate) struct Model<'a> {
 struct Jump {
     /// The frames on both sides.
     frames: [usize; 2],
-    /// Moves the scene of the first one to that of the second one.
+    /// Maps the scene of the first frame's part to that of the second frame's part.
     similarity: Similarity,
-    /// Numbers of matches that agree, and of all.
+    /// Number of matches that agree, and number of all matches.
     agreed: [usize; 2],
 }
 
 /// Aligns detached parts of a model; `None` if there are none. The result has the same bits for any number of threads.
 ///
 /// # Errors
-/// When a photograph cannot be decoded.
+/// If a photograph cannot be decoded.
 pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
     let frames = model.cameras.len();
     let tracked = model.points.iter().any(|point| point.track.len() > 1);
@@ -146,7 +146,7 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
             (model.cameras[first].origin - model.cameras[last].origin).length(),
         ));
         let next = parts.iter().max().map_or(1, |most| most + 1);
-        // A part of a part becomes a part of its own.
+        // If a piece of a part is moved again, the piece is a new part.
         let mut new = HashMap::new();
         for (part, _) in parts.iter_mut().zip(&moved).filter(|(_, moved)| **moved) {
             let after = next + new.len();
@@ -187,12 +187,12 @@ pub(crate) fn realign(mut model: Model<'_>) -> Result<Option<Torn>> {
 }
 
 impl Model<'_> {
-    /// All reprojection errors.
+    /// Returns all reprojection errors.
     fn errors(&self) -> Vec<f64> {
         self.points.iter().flat_map(|point| errors(point, &self.cameras)).collect()
     }
 
-    /// The points that each frame saw.
+    /// Returns the points that each frame saw.
     fn seen(&self) -> Vec<Vec<u32>> {
         let mut seen = vec![Vec::new(); self.cameras.len()];
         for (index, point) in self.points.iter().enumerate() {
@@ -201,7 +201,7 @@ impl Model<'_> {
         seen
     }
 
-    /// The longest jump across which the model is wrong, and the smaller of the two sides that it divides.
+    /// Finds the longest jump across which the model is wrong. Returns it with the smaller of the two sides that it divides.
     fn find_jump(&self) -> Result<Option<(Jump, Vec<bool>)>> {
         let covisibility = Covisibility::of(self.cameras.len(), &self.points);
         let order = self.in_order();
@@ -226,7 +226,7 @@ impl Model<'_> {
             }
             let [first, last] = frames.map(|frame| self.cameras[frame].origin);
             let found = self.examine(&order, before, &seen)?;
-            // If the scene really has two similar places, the moved frames are no neighbours.
+            // If the scene really has two places that look alike, the frames are far apart even after the move.
             if let Some(jump) =
                 found.filter(|jump| (jump.similarity.of(first) - last).length() <= JUMP * usual)
             {
@@ -236,15 +236,15 @@ impl Model<'_> {
         Ok(None)
     }
 
-    /// The frames sorted by name, with numbers compared by value. Cameras and phones number photographs as they take them.
+    /// Returns the frames sorted by name, with numbers compared by value. Cameras and phones number photographs as they take them.
     fn in_order(&self) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.names.len()).collect();
         order.sort_by_cached_key(|&frame| parts_of_name(self.names[frame]));
         order
     }
 
-    /// The similarity on which the photographs on both sides of a jump agree, if the model contradicts it. The jump
-    /// follows index `before` of the frames in `order`.
+    /// Returns the similarity on which the photographs on both sides of a jump agree, if the model contradicts it. The
+    /// jump follows index `before` of the frames in `order`.
     fn examine(&self, order: &[usize], before: usize, seen: &[Vec<u32>]) -> Result<Option<Jump>> {
         let frames = [order[before], order[before + 1]];
         let [first, last] = frames;
@@ -258,7 +258,7 @@ impl Model<'_> {
         if in_place as f64 > IN_PLACE * matches.len() as f64 {
             return Ok(None);
         }
-        // Another pair of frames must agree on the same similarity.
+        // The frames of another pair must agree on the same similarity.
         let pairs = [
             (before.checked_sub(1).map(|earlier| order[earlier]), Some(last)),
             (Some(first), order.get(before + 2).copied()),
@@ -282,13 +282,14 @@ impl Model<'_> {
         Ok(Patches::new(&(self.picture)(frame)?, frame as u32, own, &self.points, most))
     }
 
-    /// Largest distance of matches that agree in `frame`, pixels.
+    /// Returns the largest reprojection distance in `frame` of matches that agree, pixels.
     fn tolerance(&self, frame: usize) -> f64 {
         let k = &self.cameras[frame].intrinsics;
         TOLERANCE * f64::from(k.width.max(k.height))
     }
 
-    /// Distance in pixels between the place where `frame` saw its point of a match and the projection of the other point, moved by `by`.
+    /// Returns the distance in pixels between the place where `frame`, the second frame of a match, saw its point, and
+    /// the projection of the first frame's point after the move `by`.
     fn distance(&self, found: &Match, frame: usize, by: Option<&Similarity>) -> f64 {
         let point = DVec3::from(self.points[found.points[0] as usize].position);
         let position = by.map_or(point, |by| by.of(point));
@@ -296,7 +297,7 @@ impl Model<'_> {
         seen.error(position, &self.cameras[frame]).unwrap_or(f64::INFINITY)
     }
 
-    /// The similarity on which most matches agree, and these matches (RANSAC, Fischler and Bolles 1981).
+    /// Finds the similarity on which most matches agree, and these matches (RANSAC, Fischler and Bolles 1981).
     fn agreement(
         &self,
         matches: &[Match],
@@ -327,7 +328,7 @@ impl Model<'_> {
                 best = found;
             }
         }
-        // The fit of all that agree is better than that of three.
+        // A fit to all matches that agree is more accurate than a fit to three.
         let mut similarity = fitted(&best)?;
         for _ in 0..3 {
             let found = agreeing(&similarity);
@@ -362,7 +363,8 @@ impl Model<'_> {
         }
     }
 
-    /// Joins points of different parts that look alike, and returns the joined ones. Points that were joined to another have no track.
+    /// Joins points of different parts that look alike, and returns the joined ones. A point that was merged into
+    /// another has no track left.
     fn join(&mut self, parts: &[usize]) -> Result<Vec<u32>> {
         let seen = self.seen();
         let moved = (0..parts.len()).filter(|&frame| parts[frame] > 0);
@@ -385,7 +387,7 @@ impl Model<'_> {
                 self.agreement(&matches, other, AGREED[2]).map(|(_, agreeing)| agreeing).unwrap_or_default()
             })
             .collect();
-        // Pairs of points, those matched in the most pairs of frames first; each point is joined once.
+        // Pairs of points, sorted by the number of pairs of frames that match them; each point is joined once.
         let mut votes: BTreeMap<[u32; 2], u32> = BTreeMap::new();
         for Match { points: [a, b], .. } in found.into_iter().flatten() {
             *votes.entry([a.min(b), a.max(b)]).or_default() += 1;
@@ -414,7 +416,7 @@ impl Model<'_> {
         Ok(joined)
     }
 
-    /// The frames of other parts from which the scene looks most as it does from `frame`.
+    /// Returns the frames of other parts whose cameras are nearest to that of `frame` in position and direction.
     fn neighbours(&self, frame: usize, parts: &[usize]) -> impl Iterator<Item = usize> + use<> {
         let own = &self.cameras[frame];
         let reach = median(self.cameras.iter().map(|camera| (camera.origin - own.origin).length()).collect());
@@ -430,8 +432,8 @@ impl Model<'_> {
         others.into_iter().take(NEIGHBOURS).map(|(_, other)| other)
     }
 
-    /// Adjusts all cameras to the joined points and to some of the others, and then all points to the cameras. `usual` is the median
-    /// error before. Returns the median errors of all points and of the joined ones.
+    /// Adjusts all cameras to the joined points and to some of the others, and then all points to the cameras. `usual`
+    /// is the median error before the adjustment. Returns the median errors of all points and of the joined ones.
     fn adjust(&mut self, joined: &[u32], usual: f64) -> [f64; 2] {
         let chosen = self.chosen(joined);
         let seen = |index: &u32| {
@@ -468,7 +470,7 @@ impl Model<'_> {
         medians
     }
 
-    /// Points for the adjustment: joined ones first, then those of the longest tracks, until each frame has enough of both.
+    /// Chooses points for the adjustment: joined ones first, then those with the longest tracks, until each frame has enough of both kinds.
     fn chosen(&self, joined: &[u32]) -> Vec<u32> {
         let length = |index: &u32| (std::cmp::Reverse(self.points[*index as usize].track.len()), *index);
         let is_joined: std::collections::HashSet<u32> = joined.iter().copied().collect();
@@ -491,7 +493,7 @@ impl Model<'_> {
     }
 }
 
-/// The parts of a name between its numbers, each with the number that follows.
+/// Splits a name into the texts between its numbers, each with the number that follows.
 fn parts_of_name(name: &str) -> Vec<(&str, u64)> {
     let mut parts = Vec::new();
     let mut rest = name;
@@ -505,18 +507,18 @@ fn parts_of_name(name: &str) -> Vec<(&str, u64)> {
     parts
 }
 
-/// True if matches that agree are at least as many, and as large a share of all, as `least` says.
+/// Returns true if at least `least` matches agree, and at least the share `share` of all matches.
 fn enough(agreed: usize, all: usize, (least, share): (usize, f64)) -> bool {
     agreed >= least && agreed as f64 >= share * all as f64
 }
 
-/// Reprojection errors of a point.
+/// Returns the reprojection errors of a point.
 fn errors(point: &Point, cameras: &[Camera]) -> Vec<f64> {
     let position = point.position.into();
     point.track.iter().filter_map(|seen| seen.error(position, &cameras[seen.view as usize])).collect()
 }
 
-/// The median of some values; 0 without any.
+/// Returns the median of some values, or 0 if there are none.
 fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)

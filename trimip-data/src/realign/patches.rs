@@ -1,16 +1,16 @@
-//! Patches of photographs around known points, and which patches of two photographs show the same point.
+//! Patches of photographs around known points, and the pairs of patches of two photographs that show the same point.
 
 use crate::{photograph::Photograph, points::Point};
 use trimip_core::Result;
 
-/// Longest side of a photograph that is compared: larger ones are reduced.
+/// Longest side of a photograph in pixels: larger photographs are reduced before they are compared.
 const LONGEST: u32 = 1200;
 
-/// Samples along a side of a patch, and pixels between them.
+/// Number of samples along a side of a patch, and their spacing in pixels.
 const SIDE: usize = 8;
 const SPACING: f64 = 3.0;
 
-/// Values of a patch.
+/// Number of values of a patch.
 const LENGTH: usize = SIDE * SIDE;
 
 /// Least correlation of patches that match.
@@ -24,7 +24,7 @@ pub(crate) struct Gray {
     width: usize,
     height: usize,
     values: Vec<f32>,
-    /// Pixels of the photograph per pixel.
+    /// Pixels of the photograph per pixel of this image, along a side.
     reduction: f64,
 }
 
@@ -32,13 +32,14 @@ impl Gray {
     /// Decodes a photograph.
     ///
     /// # Errors
-    /// When it cannot be decoded.
+    /// If the photograph cannot be decoded.
     pub(crate) fn open(photograph: &Photograph) -> Result<Self> {
         let pixels = photograph.decode()?;
         Ok(Self::new(pixels.as_chunks().0, photograph.width as usize, photograph.height as usize))
     }
 
-    /// The sum of red, green and blue of [height, width] pixels, added over blocks if there are too many, slightly blurred.
+    /// Creates a grey image of [height, width] pixels: the sum of red, green and blue, added over blocks if the
+    /// photograph is larger than [`LONGEST`], and slightly blurred.
     pub(super) fn new(pixels: &[[u8; 4]], width: usize, height: usize) -> Self {
         let by = (width.max(height)).div_ceil(LONGEST as usize).max(1);
         let (wide, high) = (width / by, height / by);
@@ -59,7 +60,7 @@ impl Gray {
         gray
     }
 
-    /// Two passes of the binomial filter 1 4 6 4 1 along each axis: a standard deviation of 1.4 pixels.
+    /// Applies the binomial filter 1 4 6 4 1 twice along each axis, which blurs by a standard deviation of 1.4 pixels.
     fn blur(&mut self) {
         for _ in 0..2 {
             self.blur_along(1, self.width, self.width, self.height);
@@ -67,7 +68,7 @@ impl Gray {
         }
     }
 
-    /// Blurs lines of `length` values, which are `stride` apart. There are `lines` of them, which begin `next` apart.
+    /// Blurs `lines` lines of `length` values. The values of a line are `stride` apart, the beginnings of lines `next` apart.
     fn blur_along(&mut self, stride: usize, length: usize, next: usize, lines: usize) {
         let mut line = vec![0.0; length];
         for first in (0..lines).map(|i| i * next) {
@@ -80,7 +81,8 @@ impl Gray {
         }
     }
 
-    /// The patch around a place of the photograph, with a mean of 0 and a length of 1. `None` at the border and in uniform parts.
+    /// Returns the patch around a place of the photograph, with a mean of 0 and a length of 1, or `None` at the border
+    /// and in uniform parts.
     fn patch(&self, at: [f64; 2]) -> Option<[f32; LENGTH]> {
         let reach = 0.5 * SPACING * (SIDE - 1) as f64;
         let [x, y] = at.map(|place| place / self.reduction - 0.5 - reach);
@@ -113,7 +115,7 @@ impl Gray {
 pub(super) struct Patches {
     /// The point of each patch.
     points: Vec<u32>,
-    /// Where the photograph saw it.
+    /// Places at which the photograph saw the points, pixels.
     places: Vec<[f64; 2]>,
     values: Vec<[f32; LENGTH]>,
 }
@@ -128,7 +130,7 @@ pub(super) struct Match {
 }
 
 impl Patches {
-    /// The patches of frame `view` around at most `most` points, those with the longest tracks.
+    /// Creates the patches of frame `view` around at most `most` of the points `own`: those with the longest tracks.
     pub(super) fn new(gray: &Gray, view: u32, own: &[u32], points: &[Point], most: usize) -> Self {
         let mut own = own.to_vec();
         own.sort_by_key(|&point| (std::cmp::Reverse(points[point as usize].track.len()), point));
@@ -147,7 +149,7 @@ impl Patches {
         patches
     }
 
-    /// The patches of `self` and `other` that are each other's best match, clearly better than the second best.
+    /// Returns the pairs of patches of `self` and `other` that are each other's best match, clearly better than the second best.
     pub(super) fn matches(&self, other: &Self) -> Vec<Match> {
         let mut back = vec![(f32::MIN, 0); other.values.len()];
         let mut forth = Vec::with_capacity(self.values.len());
@@ -166,7 +168,7 @@ impl Patches {
             }
             forth.push((best, second));
         }
-        // Of patches of length 1, the squared distance is 2 − 2·correlation.
+        // For patches of length 1, the squared distance is 2 − 2·correlation.
         let is_clear = |best: f32, second: f32| 1.0 - best < RATIO * RATIO * (1.0 - second);
         let pairs = forth.into_iter().enumerate().filter_map(|(i, ((alike, j), second))| {
             let mutual = back.get(j).is_some_and(|back| back.1 == i);
@@ -177,7 +179,7 @@ impl Patches {
     }
 }
 
-/// Σ aᵢ·bᵢ, in sixteen sums that the compiler turns into vectors.
+/// Returns Σ aᵢ·bᵢ, in sixteen partial sums that the compiler vectorises.
 fn correlation(a: &[f32; LENGTH], b: &[f32; LENGTH]) -> f32 {
     let mut sums = [0.0; 16];
     for (a, b) in a.as_chunks::<16>().0.iter().zip(b.as_chunks::<16>().0) {
@@ -191,7 +193,7 @@ mod tests {
     use super::*;
     use crate::points::Observation;
 
-    /// A picture of waves that repeat nowhere, shifted by `shift` pixels along x.
+    /// Returns a picture of waves that repeat nowhere, shifted by `shift` pixels along x.
     fn picture(shift: f64, brightness: f64) -> Gray {
         let (width, height) = (160, 120);
         let value = |x: f64, y: f64| {

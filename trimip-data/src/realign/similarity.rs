@@ -12,7 +12,7 @@ pub(super) struct Similarity {
 }
 
 impl Similarity {
-    /// The similarity that maps `from` to `to` best, by least squares (Horn 1987: the rotation is the eigenvector of the largest
+    /// Returns the similarity that maps `from` to `to` best, by least squares (Horn 1987: the rotation is the eigenvector of the largest
     /// eigenvalue of a matrix of four rows). `None` for fewer than three points, points on one line, and points that are not finite.
     pub(super) fn fit(from: &[DVec3], to: &[DVec3]) -> Option<Self> {
         if from.len() < 3 || from.len() != to.len() {
@@ -50,12 +50,12 @@ impl Similarity {
         self.scale * (self.rotation * point) + self.shift
     }
 
-    /// The camera that sees the moved scene as `camera` sees the scene.
+    /// Returns the camera that sees the moved scene as `camera` sees the scene.
     pub(super) fn of_camera(&self, camera: &Camera) -> Camera {
         Camera { rotation: self.rotation * camera.rotation, origin: self.of(camera.origin), ..*camera }
     }
 
-    /// The map in the other direction.
+    /// Returns the inverse map.
     pub(super) fn inverse(&self) -> Self {
         let (scale, rotation) = (self.scale.recip(), self.rotation.transpose());
         Self { scale, rotation, shift: -scale * (rotation * self.shift) }
@@ -90,7 +90,7 @@ mod tests {
         assert!(Similarity::fit(&[DVec3::NAN; 5], &to[..5]).is_none());
     }
 
-    /// No similarity nearby has a smaller sum of squares.
+    /// Checks that no similarity nearby has a smaller sum of squares.
     #[test]
     fn the_fit_of_noisy_points_is_the_least_in_rotation_and_shift() {
         let (true_one, from) = example();

@@ -1,12 +1,12 @@
-//! Writing COLMAP models: the text and binary files of its documentation (Output format), from one description.
+//! Writes COLMAP models from one description, as text and binary files (COLMAP's documentation, Output format).
 
 use std::{fmt::Write, path::Path};
 
-/// Number, model by number and name, size, parameters.
+/// A camera: number, model by number and name, size, parameters.
 pub type CameraRow = (u32, i32, &'static str, [u64; 2], Vec<f64>);
-/// Number, quaternion, translation, camera, name, features with the numbers of their points.
+/// An image: number, quaternion, translation, camera, name, features with the numbers of their points.
 pub type ImageRow = (u32, [f64; 4], [f64; 3], u32, String, Vec<([f64; 2], i64)>);
-/// Number, position, colour, error, track.
+/// A point: number, position, colour, error, track.
 pub type PointRow = (u64, [f64; 3], [u8; 3], f64, Vec<[u32; 2]>);
 
 /// Cameras, images and points as the files hold them.
@@ -21,7 +21,7 @@ pub struct Sparse {
 pub const FILES: [&str; 3] = ["cameras", "images", "points3D"];
 
 impl Sparse {
-    /// The text files, with COLMAP's comments.
+    /// Returns the text files, with COLMAP's comments.
     pub fn text(&self) -> [String; 3] {
         let joined = |values: &[f64]| values.iter().map(|v| format!("{v:e}")).collect::<Vec<_>>().join(" ");
         let mut cameras =
@@ -44,7 +44,7 @@ impl Sparse {
         [cameras, images, points]
     }
 
-    /// The binary files.
+    /// Returns the binary files.
     pub fn binary(&self) -> [Vec<u8>; 3] {
         let head = |count: usize| (count as u64).to_le_bytes().to_vec();
         let mut cameras = head(self.cameras.len());
@@ -96,7 +96,7 @@ impl Sparse {
     }
 }
 
-/// Every camera model: number, name, parameters of an image of 60 × 40 pixels.
+/// Returns every camera model: number, name, parameters for an image of 60 × 40 pixels.
 pub fn models() -> Vec<(i32, &'static str, Vec<f64>)> {
     vec![
         (0, "SIMPLE_PINHOLE", vec![41.5, 28.7, 21.3]),
@@ -116,12 +116,12 @@ pub fn models() -> Vec<(i32, &'static str, Vec<f64>)> {
     ]
 }
 
-/// Camera models that later versions have in addition.
+/// Returns the camera models that only later versions have.
 pub fn later_models() -> Vec<(i32, &'static str, Vec<f64>)> {
     vec![(14, "SIMPLE_FISHEYE", vec![31.5, 28.7, 21.3]), (15, "FISHEYE", vec![31.5, 29.25, 28.7, 21.3])]
 }
 
-/// A rotation by a quaternion w, x, y, z of length 1, as rows.
+/// Returns the rotation by a quaternion w, x, y, z of length 1, as rows.
 pub fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
     [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
@@ -130,7 +130,7 @@ pub fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
     ]
 }
 
-/// World-to-camera rotation and translation of the n-th camera of a ring that looks at the origin, roughly.
+/// Returns the world-to-camera rotation and translation of the n-th camera of a ring that looks roughly at the origin.
 pub fn placed(n: u32) -> ([f64; 4], [f64; 3]) {
     let angle = 0.5 * f64::from(n);
     let q = [angle.cos(), 0.1 * angle.sin(), 0.9 * angle.sin(), 0.2 * (angle + 1.0).cos()];
@@ -138,13 +138,13 @@ pub fn placed(n: u32) -> ([f64; 4], [f64; 3]) {
     (q.map(|part| part / length), [0.1, -0.2 + 0.05 * f64::from(n), 4.0])
 }
 
-/// A capture of one image per camera model, in two folders, with a grid of points that all images see. The features are
-/// those of a pinhole and no projections of the points.
+/// Returns a capture of one image per camera model, in two folders, with a grid of points that all images see. The
+/// positions of features identify their images and are no projections of the points.
 pub fn capture() -> Sparse {
     capture_by(models())
 }
 
-/// The same with one image for each of these camera models.
+/// Returns such a capture with one image for each of these camera models.
 pub fn capture_by(models: Vec<(i32, &'static str, Vec<f64>)>) -> Sparse {
     let mut sparse = Sparse::default();
     for (n, (model, name, parameters)) in (0_u32..).zip(models) {

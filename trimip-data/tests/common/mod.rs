@@ -1,4 +1,4 @@
-//! Small scenes on disk, and where the shared photographs are.
+//! Small scenes on disk, and the folder of the shared photographs.
 #![allow(dead_code, missing_docs)] // each test file uses its part
 
 pub mod colmap;
@@ -11,13 +11,13 @@ use std::path::{Path, PathBuf};
 use trimip_core::ViewSet;
 use trimip_data::settings::DataConfig;
 
-/// Settings for the scene in a folder.
+/// Returns the settings for the scene in a folder.
 pub fn settings(root: &Path, scales: u32) -> DataConfig {
     let root = root.to_str().expect("folders of tests are UTF-8").into();
     DataConfig { root, scales, ..DataConfig::default() }
 }
 
-/// An RGBA image without two equal pixels.
+/// Saves an RGBA image without two equal pixels.
 pub fn save_image(path: &Path, width: u32, height: u32) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     let pixel = |x, y| Rgba([(x * 7 + y) as u8, (y * 11) as u8, (x ^ y) as u8, (x * y * 5) as u8]);
@@ -31,7 +31,7 @@ pub fn frame(path: &str) -> Value {
     })
 }
 
-/// `transforms_{train,test}.json` with two frames of 16 × 12 pixels each.
+/// Writes `transforms_{train,test}.json` with two frames of 16 × 12 pixels each, and their photographs.
 pub fn blender_scene(root: &Path) {
     for split in ["train", "test"] {
         let paths = [0, 1].map(|i| format!("./{split}/r_{i}"));
@@ -58,7 +58,7 @@ pub fn assert_same(a: &ViewSet, b: &ViewSet) {
     assert!(a.pixels == b.pixels, "pixels differ");
 }
 
-/// The folder of a shared data set, or `None` after printing why the test does nothing.
+/// Returns the folder of a shared data set, or `None` after printing why the test does nothing.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let root = std::env::var_os("TRIMIP_SHARED")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);

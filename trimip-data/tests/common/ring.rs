@@ -1,4 +1,4 @@
-//! Nine cameras around the origin, which exports of other programs describe.
+//! Nine cameras around the origin, and their exports in the formats of other programs.
 
 use super::{save_image, write};
 use glam::{DMat3, DQuat, DVec3};
@@ -7,12 +7,12 @@ use std::{fs, path::Path};
 use trimip_core::{Camera, Intrinsics, Lens};
 use trimip_data::Scene;
 
-/// A pinhole for photographs of 60 × 40 pixels.
+/// Returns a pinhole for photographs of 60 × 40 pixels.
 pub fn pinhole() -> Intrinsics {
     Intrinsics { width: 60, height: 40, fx: 51.5, fy: 52.5, cx: 29.0, cy: 21.0, lens: Lens::default() }
 }
 
-/// Nine cameras around the origin, camera-to-world with OpenGL axes.
+/// Returns nine cameras around the origin, camera-to-world with OpenGL axes.
 pub fn cameras(intrinsics: Intrinsics) -> Vec<Camera> {
     let place = |i: i32| {
         let turn = 0.7 * f64::from(i);
@@ -22,7 +22,7 @@ pub fn cameras(intrinsics: Intrinsics) -> Vec<Camera> {
     (0..9).map(look).collect()
 }
 
-/// The photograph of a camera.
+/// Returns the path of the photograph of a camera.
 pub fn name(index: usize) -> String {
     format!("images/{index}.png")
 }
@@ -31,7 +31,7 @@ pub fn save_images(root: &Path, size: [u32; 2]) {
     (0..9).for_each(|index| save_image(&root.join(name(index)), size[0], size[1]));
 }
 
-/// Asserts that the training views have the poses and intrinsics of `expected`, in order of their names. Every 8th is a test view.
+/// Asserts that the training views have the poses and intrinsics of `expected`, in order of their names. Every 8th camera is a test view.
 pub fn assert_cameras(scene: &Scene, expected: &[Camera]) {
     let kept = expected.iter().enumerate().filter(|(index, _)| index % 8 != 0).map(|(_, camera)| camera);
     assert_eq!((scene.train.views.len(), scene.test.len()), (7, 2));
@@ -48,13 +48,13 @@ pub fn assert_cameras(scene: &Scene, expected: &[Camera]) {
     }
 }
 
-/// World-to-camera rotation and translation in the axes of computer vision.
+/// Returns the world-to-camera rotation and translation in the axes of computer vision.
 pub fn vision(camera: &Camera) -> (DMat3, DVec3) {
     let to_world = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
     (to_world.transpose(), -(to_world.transpose() * camera.origin))
 }
 
-/// Writes a scene of ARKitScenes: photographs 0.1 s apart, the poses 2 ms before them.
+/// Writes a scene of ARKitScenes: photographs 0.1 s apart, and poses 2 ms before each photograph. Returns the trajectory.
 pub fn arkitscenes(root: &Path, all: &[Camera]) -> String {
     let mut trajectory = String::new();
     for (index, camera) in all.iter().enumerate() {
@@ -66,7 +66,7 @@ pub fn arkitscenes(root: &Path, all: &[Camera]) -> String {
         save_image(&root.join(format!("lowres_wide/41069021_{time:.3}.png")), 60, 40);
         let intrinsics = root.join("lowres_wide_intrinsics");
         fs::create_dir_all(&intrinsics).unwrap();
-        // Some are named by a time that was rounded in another way.
+        // The names of some files have a time that was rounded differently.
         let rounded = time + [0.0, 0.001, -0.001][index % 3];
         fs::write(intrinsics.join(format!("41069021_{rounded:.3}.pincam")), "60 40 51.5 52.5 29 21\n")
             .unwrap();
@@ -82,7 +82,7 @@ pub fn polycam(root: &Path, all: &[Camera], kind: &str) {
     for (index, camera) in all.iter().enumerate() {
         let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();
         let o = camera.origin;
-        // ARKit's axes x, y, z are ours y, z, x.
+        // ARKit's axes x, y, z are y, z, x here.
         let rows = [[y, [o.y; 3]], [z, [o.z; 3]], [x, [o.x; 3]]];
         let mut document = json!({ "fx": 51.5, "fy": 52.5, "cx": 29.0, "cy": 21.0, "width": 60, "height": 40, "blur_score": 90.0 });
         for (i, [axes, [at, ..]]) in rows.iter().enumerate() {
@@ -94,7 +94,7 @@ pub fn polycam(root: &Path, all: &[Camera], kind: &str) {
     }
 }
 
-/// `transforms.json` of cameras whose lens is that of `intrinsics`, a frame each.
+/// Returns `transforms.json` with a frame for each camera. The size and the pinhole are those of `intrinsics`.
 pub fn transforms(all: &[Camera], intrinsics: Intrinsics) -> Value {
     let frame = |(index, camera): (usize, &Camera)| {
         let [x, y, z] = camera.rotation.transpose().to_cols_array_2d();

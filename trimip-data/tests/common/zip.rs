@@ -1,4 +1,4 @@
-//! Writing zip archives, including invalid ones: every field is free.
+//! Writes zip archives, including invalid ones: every field can be set.
 
 use std::{fs, path::Path};
 
@@ -11,12 +11,12 @@ pub const DEFLATE: u16 = 8;
 pub struct Entry {
     pub name: Vec<u8>,
     pub method: u16,
-    /// General purpose flags: 1 is encrypted, 0x800 a name in UTF-8.
+    /// General purpose flags: 1 means encrypted, 0x800 a name in UTF-8.
     pub flags: u16,
     /// Unix mode.
     pub mode: u32,
     pub checksum: u32,
-    /// Stated size.
+    /// Stated size of the unpacked bytes.
     pub bytes: u32,
     pub packed: Vec<u8>,
     /// Stated size of the packed bytes.
@@ -24,7 +24,7 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// A file without compression.
+    /// Creates a file without compression.
     pub fn stored(name: &str, bytes: &[u8]) -> Self {
         let mut crc = flate2::Crc::new();
         crc.update(bytes);
@@ -40,7 +40,7 @@ impl Entry {
         }
     }
 
-    /// A compressed file.
+    /// Creates a compressed file.
     pub fn deflated(name: &str, bytes: &[u8]) -> Self {
         use std::io::Write;
         let mut encoder = flate2::write::DeflateEncoder::new(Vec::new(), flate2::Compression::new(6));
@@ -49,7 +49,8 @@ impl Entry {
         Self { method: DEFLATE, packed_bytes: packed.len() as u32, packed, ..Self::stored(name, bytes) }
     }
 
-    /// The fields that both headers of an entry have: version, flags, method, time, checksum, sizes, length of the name, no extra field.
+    /// Returns the fields that both headers of an entry have: version, flags, method, time, checksum, sizes, length of
+    /// the name, no extra field.
     fn header(&self) -> Vec<u8> {
         let mut header = Vec::new();
         for part in [20, self.flags, self.method, 0, 0x21] {
@@ -64,7 +65,7 @@ impl Entry {
     }
 }
 
-/// The bytes of an archive.
+/// Returns the bytes of an archive.
 pub fn archive(entries: &[Entry]) -> Vec<u8> {
     let (mut archive, mut directory) = (Vec::new(), Vec::new());
     for entry in entries {
@@ -92,7 +93,7 @@ pub fn archive(entries: &[Entry]) -> Vec<u8> {
     archive
 }
 
-/// The files below a folder, compressed, with the prefix `before` on their paths.
+/// Returns the files below a folder, compressed, with the prefix `before` on their paths.
 pub fn packed(folder: &Path, before: &str) -> Vec<Entry> {
     let mut paths: Vec<_> = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     paths.sort();

@@ -32,7 +32,7 @@ fn plain(index: usize) -> String {
     format!("{index}.png")
 }
 
-/// A model of these cameras, and their photographs.
+/// Returns a model of these cameras, and saves their photographs.
 fn model(
     root: &Path,
     all: &[Camera],
@@ -71,7 +71,7 @@ fn blanks_in_names(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Exponents of three digits, line ends of Windows, features after each image, and no line break at the end.
+/// Writes exponents of three digits, line ends of Windows, features after each image, and no line break at the end.
 fn realityscan(root: &Path) -> Vec<Camera> {
     let (all, mut sparse) = pinholes(root, plain);
     let observed = |image: u32| [image, 0];
@@ -102,7 +102,7 @@ fn text_alone(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// A model of nine cameras with this lens.
+/// Writes a model of nine cameras with this lens.
 fn of_lens(
     root: &Path,
     lens: Lens,
@@ -130,7 +130,7 @@ fn full_opencv(root: &Path) -> Vec<Camera> {
     of_lens(root, lens, [41.5, 39.25], (6, "FULL_OPENCV", terms))
 }
 
-/// COLMAP 3.12 writes two files more.
+/// Writes the two additional files of COLMAP 3.12.
 fn rigs(root: &Path) -> Vec<Camera> {
     let (all, sparse) = pinholes(root, |index| format!("pano_camera{}/frame{index}.png", index / 5));
     let folder = root.join("sparse/0");
@@ -153,7 +153,7 @@ fn cameras_blank(root: &Path) -> Vec<Camera> {
     Vec::new()
 }
 
-/// Every second photograph is of another camera.
+/// Writes a model in which every second photograph is from another camera.
 fn several_sizes(root: &Path) -> Vec<Camera> {
     let (mut all, mut sparse) = pinholes(root, plain);
     let other =
@@ -168,14 +168,14 @@ fn several_sizes(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// A mask whose left half is kept.
+/// Saves a mask whose left half is kept.
 fn save_mask(path: &Path) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     let half = image::ImageBuffer::from_fn(60, 40, |x, _| image::Luma([if x < 30 { 255_u8 } else { 0 }]));
     image::DynamicImage::from(half).save(path).unwrap();
 }
 
-/// Opaque photographs, which masks may cover.
+/// Saves opaque photographs, to which masks may apply.
 fn opaque(root: &Path, name: fn(usize) -> String) {
     for index in 0..9 {
         let picture = image::ImageBuffer::from_fn(60, 40, |x, y| image::Rgb([x as u8, y as u8, 9]));
@@ -206,7 +206,7 @@ fn masks_with_two_endings(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Its own comments, and an additional PLY file.
+/// Writes BlenderNeRF's own comments, and an additional PLY file.
 fn blendernerf(root: &Path) -> Vec<Camera> {
     let all = text_alone(root);
     let path = root.join("sparse/0/images.txt");

@@ -13,7 +13,8 @@ use std::{collections::BTreeSet, path::Path};
 use trimip_core::Camera;
 use trimip_data::open;
 
-/// Writes an input into a folder. Returns the expected cameras of nine photographs, in order of their names; none if they are not compared.
+/// Writes an input into a folder. Returns the expected cameras of nine photographs, in order of their names, or none if
+/// cameras are not compared.
 type Input = fn(&Path) -> Vec<Camera>;
 
 /// A report.
@@ -52,7 +53,7 @@ fn inputs() -> impl Iterator<Item = &'static (&'static str, Input)> {
     all.into_iter().flatten()
 }
 
-/// Opens the input of a report. Returns the result if it differs from that of the report.
+/// Opens the input of a report. Returns the result if it differs from the one that the report expects.
 fn failure(report: &Report, input: Input) -> Option<String> {
     let folder = tempfile::tempdir().unwrap();
     let expected = input(folder.path());

@@ -30,7 +30,7 @@ fn polycam(root: &Path, kind: &str, all: &[Camera], from: usize, change: impl Fn
         let o = camera.origin;
         let mut document = json!({ "fx": 51.5, "fy": 52.5, "cx": 29.0, "cy": 21.0, "width": 60, "height": 40,
             "blur_score": 90.0, "timestamp": 17 + index });
-        // ARKit's axes x, y, z are ours y, z, x.
+        // ARKit's axes x, y, z are y, z, x here.
         for (i, (axes, at)) in [(y, o.y), (z, o.z), (x, o.x)].iter().enumerate() {
             (0..3).for_each(|j| document[format!("t_{i}{j}")] = json!(axes[j]));
             document[format!("t_{i}3")] = json!(at);
@@ -65,7 +65,7 @@ fn corrected_in_part(root: &Path) -> Vec<Camera> {
 fn raw(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     polycam(root, "", &all, 0, |_| {});
-    // A copy through macOS.
+    // A file that macOS adds when it copies a folder.
     fs::write(root.join("keyframes/cameras/._0.json"), b"\0\x05\x16\x07").unwrap();
     all
 }
@@ -76,7 +76,7 @@ fn without_time(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// An unpacked `.r3d` file: `metadata` has no ending, and depths lie next to the photographs.
+/// Writes an unpacked `.r3d` file: `metadata` has no ending, and depths lie next to the photographs.
 fn record3d_unpacked(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     let pose = |camera: &Camera| {
@@ -95,7 +95,7 @@ fn record3d_unpacked(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Poses of a recording without tracking.
+/// Writes the poses of a recording without tracking.
 fn record3d_without_tracking(root: &Path) -> Vec<Camera> {
     record3d_unpacked(root);
     let path = root.join("metadata");
@@ -105,14 +105,14 @@ fn record3d_without_tracking(root: &Path) -> Vec<Camera> {
     Vec::new()
 }
 
-/// An export of depths alone.
+/// Writes an export that has depths but no photographs.
 fn record3d_without_photographs(root: &Path) -> Vec<Camera> {
     record3d_unpacked(root);
     (0..9).for_each(|index| fs::remove_file(root.join(format!("rgbd/{index}.png"))).unwrap());
     Vec::new()
 }
 
-/// The raw set has six photographs for a pose.
+/// Writes a scene like those of the raw set, which has six photographs for each pose.
 fn arkitscenes_between_poses(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     let mut poses = String::new();

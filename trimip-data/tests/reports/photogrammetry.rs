@@ -49,7 +49,7 @@ fn sensor(id: u32, kind: &str, size: [u32; 2], terms: Option<&str>) -> String {
     )
 }
 
-/// A camera with its pose, or without.
+/// Returns a camera with its pose, or without one.
 fn camera(label: &str, sensor: u32, pose: Option<&Camera>) -> String {
     let transform = |camera: &Camera| {
         let axes = camera.rotation * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
@@ -69,7 +69,7 @@ fn metashape(root: &Path, sensors: &str, cameras: &str) {
     fs::write(root.join("cameras.xml"), document).unwrap();
 }
 
-/// The ring with one sensor; labels are the numbers of the photographs.
+/// Writes the ring with one sensor; labels are the numbers of the photographs.
 fn ring(root: &Path, around: [&str; 2]) -> Vec<Camera> {
     save_images(root);
     let all = cameras(pinhole());
@@ -80,7 +80,7 @@ fn ring(root: &Path, around: [&str; 2]) -> Vec<Camera> {
     all
 }
 
-/// Labels with the endings that photographs had before they were converted.
+/// Writes labels with the endings that photographs had before they were converted.
 fn labels_of_files(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     let label = |index: usize| format!("IMG_{index}.JPG");
@@ -91,7 +91,7 @@ fn labels_of_files(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Panoramas have no calibration.
+/// Writes panoramas, which have no calibration.
 fn spherical(root: &Path) -> Vec<Camera> {
     (0..9).for_each(|index| save_image(&root.join(format!("{index}.png")), 64, 32));
     let lens = Lens::of(Model::Equirectangular);
@@ -102,7 +102,7 @@ fn spherical(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Only the first camera of a rig has poses.
+/// Writes a rig in which only the first camera has poses.
 fn rig(root: &Path) -> Vec<Camera> {
     let others: String = (0..9).map(|index| camera(&format!("slave_{index}"), 0, None)).collect();
     ring(root, ["", &others])
@@ -139,7 +139,7 @@ fn sensor_without_use(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Metashape's p1 bends along x, OpenCV's along y.
+/// Writes tangential coefficients: Metashape's p1 bends along x, OpenCV's along y.
 fn tangential(root: &Path) -> Vec<Camera> {
     save_images(root);
     let lens = Lens::perspective([-0.1, 0.0, 0.0, 0.0], [-0.002, 0.001], [0.0; 3]);
@@ -151,7 +151,7 @@ fn tangential(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// The chunk has a transform to the earth, which is not applied: cameras stay in the units of the chunk.
+/// Writes a chunk with a transform to the earth, which is not applied: cameras stay in the units of the chunk.
 fn georeferenced(root: &Path) -> Vec<Camera> {
     let all = ring(root, ["", ""]);
     let path = root.join("cameras.xml");
@@ -162,14 +162,14 @@ fn georeferenced(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Upright photographs of a sensor with a landscape format.
+/// Writes upright photographs of a sensor with a landscape format.
 fn upright(root: &Path) -> Vec<Camera> {
     ring(root, ["", ""]);
     (0..9).for_each(|index| save_image(&root.join(format!("{index}.png")), 40, 60));
     Vec::new()
 }
 
-/// World-to-camera of RealityCapture's yaw, pitch and roll.
+/// Returns position, heading, pitch and roll of a camera in RealityCapture, and its camera-to-world rotation.
 fn placed(index: usize) -> ([f64; 6], DMat3) {
     let i = index as f64;
     let angles = [170.0 - 25.0 * i, 85.0 + i, -22.5 + 3.0 * i];
@@ -183,7 +183,7 @@ fn placed(index: usize) -> ([f64; 6], DMat3) {
     ([40.0 + i, 130.0 - 2.0 * i, 6.5, heading, pitch, roll], DMat3::from_cols_array_2d(&rows))
 }
 
-/// A CSV file with these columns after those of the pose, and its cameras.
+/// Writes a CSV file with these columns after those of the pose, and returns its cameras.
 fn realitycapture(root: &Path, columns: &str, values: &str, intrinsics: Intrinsics) -> Vec<Camera> {
     save_images(root);
     let mut text = format!("#name,x,y,alt,heading,pitch,roll,{columns}\n");
@@ -217,7 +217,7 @@ fn principal_point(root: &Path) -> Vec<Camera> {
     realitycapture(root, "f,px,py,k1,k2,k3,k4,t1,t2", values, intrinsics)
 }
 
-/// Photographs that were deleted after the export.
+/// Deletes photographs after the export.
 fn more_cameras(root: &Path) -> Vec<Camera> {
     realitycapture(root, "f", "24", pinhole());
     [2, 3, 7].iter().for_each(|index| fs::remove_file(root.join(format!("{index}.png"))).unwrap());
@@ -259,7 +259,7 @@ fn in_parts(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Files that macOS puts next to others.
+/// Writes files that macOS puts next to others.
 fn strays(folder: &Path, name: impl Fn(usize) -> String) {
     (0..9).for_each(|index| fs::write(folder.join(format!("._{}", name(index))), b"\0\x05\x16\x07").unwrap());
     fs::write(folder.join(".DS_Store"), b"\0\0\0\x01Bud1").unwrap();
@@ -271,7 +271,7 @@ fn of_macos(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// LLFF's array with the first `count` cameras.
+/// Writes LLFF's array with the first `count` cameras.
 fn llff(root: &Path, count: usize) -> Vec<Camera> {
     let all = cameras(Intrinsics { fx: 51.5, fy: 51.5, cx: 30.0, cy: 20.0, ..pinhole() });
     (0..9).for_each(|index| save_image(&root.join(format!("images/{index}.png")), 60, 40));

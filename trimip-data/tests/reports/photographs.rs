@@ -18,7 +18,7 @@ pub const INPUTS: &[(&str, Input)] = &[
     ("photographs_heic", heic),
 ];
 
-/// A scene of nine frames with the same picture.
+/// Writes a scene of nine frames with the same picture.
 fn scene(root: &Path, ending: &str, picture: &DynamicImage) -> Vec<Camera> {
     fs::create_dir(root.join("images")).unwrap();
     let named = |index: usize| format!("images/{index}.{ending}");
@@ -57,7 +57,7 @@ fn grey_with_alpha(root: &Path) -> Vec<Camera> {
     scene(root, "png", &ImageBuffer::from_fn(60, 40, |x, y| LumaA([x as u8, y as u8])).into())
 }
 
-/// HEIC photographs of a phone, with the names in the file.
+/// Writes HEIC photographs of a phone, under the names that the transforms file states.
 fn heic(root: &Path) -> Vec<Camera> {
     scene(root, "jpg", &color());
     for index in 0..9 {

@@ -25,14 +25,14 @@ pub const INPUTS: &[(&str, Input)] = &[
     ("transforms_camera_at_the_origin", camera_at_the_origin),
 ];
 
-/// The rows of a camera's pose.
+/// Returns the rows of a camera's pose.
 fn matrix(camera: &Camera) -> Value {
     let (r, o) = (camera.rotation, camera.origin);
     let row = |i: usize| json!([r.x_axis[i], r.y_axis[i], r.z_axis[i], o[i]]);
     json!([row(0), row(1), row(2), [0, 0, 0, 1]])
 }
 
-/// A file with these frames: `named` returns the names of photographs.
+/// Returns a transforms file with these frames; `named` returns the names of photographs.
 fn document(all: &[Camera], named: impl Fn(usize) -> String) -> Value {
     let frame = |(index, camera): (usize, &Camera)| json!({ "file_path": named(index), "transform_matrix": matrix(camera) });
     let frames: Vec<Value> = all.iter().enumerate().map(frame).collect();
@@ -109,7 +109,7 @@ fn numbers_as_texts(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// A failed calibration from two photographs, scaled to a tenth of their size.
+/// Writes a failed calibration from two photographs, scaled to a tenth of their size.
 fn wild_lens(root: &Path) -> Vec<Camera> {
     (0..9).for_each(|index| save_image(&root.join(name(index)), 64, 48));
     let mut document = document(&cameras(pinhole()), name);
@@ -131,7 +131,7 @@ fn wild_lens(root: &Path) -> Vec<Camera> {
     Vec::new()
 }
 
-/// Black where x is at least 30.
+/// Saves a mask that is black where x is at least 30.
 fn save_mask(path: &Path) {
     fs::create_dir_all(path.parent().unwrap()).unwrap();
     let half = image::ImageBuffer::from_fn(60, 40, |x, _| image::Luma([if x < 30 { 255_u8 } else { 0 }]));
@@ -144,7 +144,7 @@ fn save_opaque(path: &Path) {
     image::DynamicImage::from(picture).save(path).unwrap();
 }
 
-/// Two cameras of a rig, whose photographs have the same names.
+/// Writes photographs of the two cameras of a rig, which have the same names.
 fn masks_in_folders(root: &Path) -> Vec<Camera> {
     let all = cameras(pinhole());
     let path = |index: usize| format!("{}/{:06}", if index < 5 { "back" } else { "front" }, index % 5);
@@ -168,7 +168,7 @@ fn dynamic_masks(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// Depth images have almost the names of the photographs.
+/// Writes depth images that have almost the names of the photographs.
 fn of_nerfcapture(root: &Path) -> Vec<Camera> {
     save_images(root, [60, 40]);
     let all = cameras(pinhole());
@@ -183,7 +183,7 @@ fn of_nerfcapture(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// The axes of a camera object that was scaled are longer than 1 by the same factor.
+/// Writes the poses of a scaled camera object: all axes are longer than 1 by the same factor.
 fn scaled_camera(root: &Path) -> Vec<Camera> {
     save_images(root, [60, 40]);
     let all = cameras(pinhole());
@@ -196,7 +196,7 @@ fn scaled_camera(root: &Path) -> Vec<Camera> {
     all
 }
 
-/// A right and an up axis that were not normalised: they are shorter than the axis of sight.
+/// Writes a pose whose right and up axes were not normalised: they are shorter than the viewing axis.
 fn stretched_camera(root: &Path) -> Vec<Camera> {
     save_images(root, [60, 40]);
     let all = cameras(pinhole());
