@@ -1,10 +1,10 @@
-//! Targets of libFuzzer, one for each reader of files, and `cameras` for every registered file of cameras. Each target passes the bytes to
-//! [`Format::check`], which the tests call too. `docs/fuzzing.md` explains how to run them.
+//! Targets for libFuzzer: one for each file reader, and `cameras` for every registered format of camera files. Each target passes the
+//! bytes to [`Format::check`], which the tests call too. `docs/fuzzing.md` explains how to run them.
 
 pub use libfuzzer_sys::fuzz_target;
 pub use trimip_tests::formats::{Format, memory::Counting};
 
-/// A program that passes bytes to the reader of a format.
+/// Defines a fuzz program that passes bytes to the reader of a format.
 #[macro_export]
 macro_rules! target {
     ($name:expr) => {

@@ -1,6 +1,7 @@
-//! Criterion benchmarks of every stage and of a whole training step, on the CPU and on the GPU, with one table of both
-//! at the end. Stages run over one tile, which the CPU gives to one thread; the step uses all cores.
-//! `TRIMIP_BENCH_SAMPLES` is the number of samples of a step (small for a software driver, large for a graphics card).
+//! Criterion benchmarks of every stage and of a whole training step, on the CPU and on the GPU. A table of both
+//! backends follows at the end. Each stage processes one tile, on the CPU with one thread; the training step uses all
+//! cores. `TRIMIP_BENCH_SAMPLES` sets the number of samples of a step (small for a software driver, large for a
+//! graphics card).
 
 use criterion::{Criterion, Throughput};
 use std::path::Path;
@@ -14,14 +15,14 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 use trimip_wgpu::{Addition, WgpuBackend};
 
-/// Number of steps before the timed step; during the first steps the occupancy grid is full.
+/// Number of untimed steps before the timed ones; during the first steps the occupancy grid is full.
 const WARM: usize = 24;
 
 fn samples() -> u32 {
     std::env::var("TRIMIP_BENCH_SAMPLES").ok().and_then(|text| text.parse().ok()).unwrap_or(8192)
 }
 
-/// The paper's model on small views of the built-in scene.
+/// Returns the configuration of the authors' code and small training views of the built-in scene.
 fn scene(precision: Precision) -> (Config, ViewSet) {
     let mut config = trimip_tests::fixtures::as_code();
     config.train.samples_per_step = samples();
@@ -38,7 +39,7 @@ fn scene(precision: Precision) -> (Config, ViewSet) {
     (config, views)
 }
 
-/// Occupancy that approximates the built-in scene: a ball.
+/// Returns the bits of an occupancy grid that approximates the built-in scene: a ball.
 fn ball(resolution: u32) -> Vec<u8> {
     let cells = resolution.pow(3);
     let mut bits = vec![0; cells as usize / 8];
@@ -52,14 +53,14 @@ fn ball(resolution: u32) -> Vec<u8> {
     bits
 }
 
-/// A named backend.
+/// A backend to measure.
 struct Way<'a, B> {
     name: &'a str,
     make: &'a dyn Fn() -> B,
     precision: Precision,
 }
 
-/// Times every stage: submits it many times and waits for it once.
+/// Times every stage: submits the stage many times and waits once for all submissions.
 fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     let (config, views) = scene(way.precision);
     let backend = (way.make)();
@@ -160,7 +161,7 @@ fn stages<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     backend.health().expect("the device works");
 }
 
-/// Times a whole step after the first steps.
+/// Times whole training steps, after the untimed ones.
 fn step<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     let (config, views) = scene(way.precision);
     let mut trainer = Trainer::new((way.make)(), &config, views).expect("views that fit");
@@ -188,7 +189,7 @@ fn both<B: Backend>(criterion: &mut Criterion, way: &Way<'_, B>) {
     step(criterion, way);
 }
 
-/// Nanoseconds per element, by group and name, from criterion's files.
+/// Reads the median nanoseconds per element of the benchmark `group`/`name` from criterion's files.
 fn estimate(folder: &Path, group: &str, name: &str) -> Option<f64> {
     let base = folder.join(group.replace(' ', "_")).join(name).join("new");
     let base = if base.exists() { base } else { folder.join(group).join(name).join("new") };
@@ -242,11 +243,12 @@ fn main() {
     }
 }
 
-/// Operations and bytes of memory per sample in each stage, for the paper's networks; `None` for stages of mixed work.
-/// Texels count as uncached; arrays of samples count as read and written once.
+/// Returns the floating-point operations and the bytes of memory traffic per sample of each stage, for the paper's
+/// networks; `None` for stages of mixed work. Every texel counts as read from memory, without a cache; arrays of
+/// samples count as read and written once.
 fn work() -> [(&'static str, Option<[f64; 2]>); 12] {
     let products = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 2.0 * k * n).sum::<f64>();
-    // Bytes that a layer reads and writes.
+    // Bytes that the layers read and write.
     let rows = |layers: &[[f64; 2]]| layers.iter().map(|[k, n]| 4.0 * (k + n)).sum::<f64>();
     let (density, color) = ([[48.0, 128.0], [128.0, 16.0]], [[32.0, 128.0], [128.0, 128.0], [128.0, 16.0]]);
     let taps = 3.0 * 8.0 * 16.0;
@@ -261,14 +263,14 @@ fn work() -> [(&'static str, Option<[f64; 2]>); 12] {
         ("composite", Some([30.0, 16.0 + 8.0])),
         ("loss", None),
         ("composite backward", Some([40.0, 16.0 + 8.0 + 16.0])),
-        // Each layer's product is computed twice more: for its input and for its weights.
+        // The backward pass of a layer computes two products: the gradient of its input and that of its weights.
         ("field backward", Some([2.0 * forward[0], 2.0 * forward[1]])),
         ("scatter and end of step", None),
         ("training step", Some([3.0 * forward[0] + 4.0 * taps, 3.0 * forward[1] + 8.0 * taps])),
     ]
 }
 
-/// Each stage as a fraction of the device's peak performance.
+/// Prints the performance of each stage as a fraction of the device's measured ceilings.
 fn roofline(folder: &Path, names: &[&str], ceilings: &trimip_wgpu::Ceilings) {
     let (operations, bytes) = (ceilings.operations / 1e9, ceilings.bytes / 1e9);
     println!("\nmeasured ceilings: {operations:.1} GFLOP/s of f32 multiply-adds, {bytes:.1} GB/s of copies");

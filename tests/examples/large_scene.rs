@@ -1,6 +1,6 @@
-//! Writes a capture of any size: the built-in scene, ray-traced small and enlarged to JPEG photographs, with
-//! `transforms.json`. It shows how the program copes with size; the photographs are no sharper than the ray-traced
-//! pictures.
+//! Writes a capture of any size: ray-traced pictures of the built-in scene, enlarged to JPEG photographs, and their
+//! `transforms.json`. The capture tests how the program copes with size; the photographs show no more detail than the
+//! ray-traced pictures.
 //!
 //!     cargo run --release -p trimip-tests --example large_scene -- FOLDER COUNT WIDTH HEIGHT
 
@@ -11,7 +11,7 @@ use trimip_core::{Alpha, Camera, Intrinsics, scene::views::composite_pixel};
 use trimip_data::builtin;
 use trimip_data::settings::Finish;
 
-/// Width of a ray-traced picture.
+/// Largest width of a ray-traced picture in pixels.
 const TRACED: u32 = 500;
 /// Horizontal field of view of a photograph in radians.
 const ANGLE: f64 = 0.7;
@@ -47,7 +47,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Camera-to-world matrix, row by row.
+/// Returns the camera-to-world matrix, row by row.
 fn pose(camera: &Camera) -> [[f64; 4]; 4] {
     let row = |i| {
         let [x, y, z] = camera.rotation.row(i).to_array();

@@ -1,5 +1,5 @@
 //! Measures how fast `view` responds in a real browser: pictures per second while the camera turns, milliseconds from
-//! input to picture, bytes of a picture, and memory of the server.
+//! input to picture, bytes per picture, and memory of the server.
 //!
 //! `cargo run --release -p trimip-tests --example view_rate -- RUN [volume|hybrid] [SIDE]`
 
@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use trimip_tests::watching::{Browser, Shown};
 
-/// Duration of the camera's turn.
+/// Time during which the camera turns.
 const TURNING: Duration = Duration::from_secs(10);
 
 /// Time allowed for the finest picture to arrive.
@@ -54,7 +54,7 @@ fn main() {
     let mut step = 0_u32;
     while started.elapsed() < TURNING {
         step += 1;
-        // Back and forth over half of the picture.
+        // The mouse moves back and forth over half of the picture.
         let x = middle * (1.0 + 0.5 * (f64::from(step) * 0.05).sin());
         mouse("mouseMoved", x, 1);
         std::thread::sleep(MOVE);

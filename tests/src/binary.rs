@@ -17,10 +17,10 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// Asserts exit code `code` and one line of error that contains `parts`.
+    /// Asserts exit code `code` and an error message of one line that contains all `parts`.
     ///
     /// # Panics
-    /// If the program answered otherwise.
+    /// If the exit code or the message differs.
     #[track_caller]
     pub fn expect_error(&self, code: i32, parts: &[&str]) {
         assert_eq!(self.code, Some(code), "{self:?}");
@@ -32,10 +32,11 @@ impl Answer {
     }
 }
 
-/// Asserts that the program fails with one line that contains `parts`, and that it changes, removes and writes no file.
+/// Asserts that the program fails with an error message of one line that contains all `parts`, and that it changes, removes and
+/// writes no file.
 ///
 /// # Panics
-/// If it does otherwise.
+/// If the program does anything else.
 #[track_caller]
 pub fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
     let before = files(folder);
@@ -48,7 +49,7 @@ pub fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
     assert!(grown.is_empty(), "{arguments:?}: wrote {grown:?}");
 }
 
-/// Path of `trimip-cli`, built in the profile and target folder of the running test.
+/// Returns the path of `trimip-cli`, built in the profile and the target folder of the running test.
 ///
 /// # Panics
 /// If the program does not build.
@@ -57,22 +58,22 @@ pub fn program() -> &'static Path {
     PROGRAM.get_or_init(|| build("plain", &[]))
 }
 
-/// Folder of the build outputs for the profile of the running test.
+/// Returns the folder of the build outputs for the profile of the running test.
 fn built() -> PathBuf {
     // <target>/<profile>/deps/<test>
     let test = std::env::current_exe().expect("a test knows its own path");
     test.ancestors().nth(2).expect("tests lie in <profile>/deps").into()
 }
 
-/// The target folder of the running test.
+/// Returns the target folder of the running test.
 ///
 /// # Panics
-/// If the test lies in no such folder.
+/// If the test does not lie in a target folder.
 pub fn target() -> PathBuf {
     built().parent().expect("profiles lie in a target folder").into()
 }
 
-/// The profile of the running test.
+/// Returns the profile of the running test.
 pub fn profile() -> String {
     match built().file_name().and_then(|name| name.to_str()) {
         Some("debug") | None => "dev".into(),
@@ -80,8 +81,8 @@ pub fn profile() -> String {
     }
 }
 
-/// Builds `trimip-cli` with further arguments for cargo. Returns a path of its own for each `name`, because the next build
-/// with other arguments replaces the file that cargo writes.
+/// Builds `trimip-cli` with additional arguments for cargo. Returns a separate path for each `name`, because the next build with
+/// other arguments replaces the file that cargo writes.
 ///
 /// # Panics
 /// If the program does not build.
@@ -89,7 +90,7 @@ pub fn build(name: &str, arguments: &[&str]) -> PathBuf {
     static BUILDING: Mutex<()> = Mutex::new(());
     let _building = BUILDING.lock().unwrap_or_else(PoisonError::into_inner);
     let folder = built();
-    // With an example in the build, cargo selects the same features for the dependencies as for the tests, and compiles
+    // An example is built too, so that cargo selects the same features for the dependencies as for the tests, and compiles
     // nothing twice.
     let built = Command::new(env!("CARGO"))
         .args(["build", "--quiet", "--locked", "--workspace", "--bin", "trimip-cli", "--example", "corpus"])
@@ -111,12 +112,12 @@ pub fn build(name: &str, arguments: &[&str]) -> PathBuf {
     own
 }
 
-/// Root of the workspace.
+/// Returns the root of the workspace.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The program with arguments and a working directory.
+/// Returns the command that runs the program with arguments in a working directory.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(program());
     // Without this variable, a software Vulkan driver writes to standard error.
@@ -127,7 +128,7 @@ pub fn command(folder: &Path, arguments: &[&str]) -> Command {
 /// Runs the program to its end and asserts that it does not panic.
 ///
 /// # Panics
-/// If it cannot be started, or if it panicked.
+/// If the program cannot be started, or if it panicked.
 pub fn run(folder: &Path, arguments: &[&str]) -> Answer {
     let Output { status, stdout, stderr } = command(folder, arguments).output().expect("the program starts");
     let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
@@ -138,7 +139,7 @@ pub fn run(folder: &Path, arguments: &[&str]) -> Answer {
     answer
 }
 
-/// Settings of a run that takes a tenth of a second: the built-in scene at 16 pixels, 20 steps.
+/// Returns the settings of a run that takes a tenth of a second: the built-in scene at 16 pixels, 20 steps.
 pub fn tiny() -> Vec<&'static str> {
     [
         "data.format=builtin",
@@ -167,7 +168,7 @@ pub fn tiny() -> Vec<&'static str> {
     .collect()
 }
 
-/// [`tiny`] with additional arguments.
+/// Returns [`tiny`] with additional arguments.
 pub fn tiny_and<'a>(more: &[&'a str]) -> Vec<&'a str> {
     [&tiny()[..], more].concat()
 }

@@ -1,4 +1,4 @@
-//! Folders as values, to compare what a command has changed.
+//! Folders as maps from paths to bytes, to compare them before and after a command.
 
 use std::{
     collections::BTreeMap,
@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// Returns the bytes of all files below a folder, by their relative paths.
+/// Returns the bytes of all files below a folder, with the relative paths as keys.
 ///
 /// # Panics
 /// If the folder cannot be read.

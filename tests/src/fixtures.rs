@@ -12,16 +12,16 @@ use trimip_core::{
     scene::depths::KnownDepth,
 };
 
-/// SplitMix64 (Steele et al. 2014): the random numbers of the tests.
+/// Random numbers for tests: SplitMix64 (Steele et al. 2014).
 pub struct TestRandom(u64);
 
 impl TestRandom {
-    /// The sequence for a seed.
+    /// Creates the sequence of a seed.
     pub fn new(seed: u64) -> Self {
         Self(seed)
     }
 
-    /// 64 random bits.
+    /// Returns 64 random bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -30,17 +30,17 @@ impl TestRandom {
         z ^ (z >> 31)
     }
 
-    /// Uniform in [low, high).
+    /// Returns a number that is uniform in [low, high).
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// Uniform integer below `count`.
+    /// Returns a uniform integer below `count`.
     pub fn below(&mut self, count: usize) -> usize {
         (self.bits() % count as u64) as usize
     }
 
-    /// A unit vector.
+    /// Returns a random unit vector.
     pub fn direction(&mut self) -> DVec3 {
         loop {
             let v = DVec3::new(self.between(-1.0, 1.0), self.between(-1.0, 1.0), self.between(-1.0, 1.0));
@@ -51,7 +51,8 @@ impl TestRandom {
     }
 }
 
-/// The optimiser, the occupancy grid and the budget of the authors' code; defaults for the rest.
+/// Returns the configuration with the optimiser, the occupancy grid and the budget of the authors' code, and defaults
+/// for all other settings.
 pub fn as_code() -> Config {
     let mut config = Config::default();
     (config.optimizer.plane_scale, config.optimizer.beta2) = (10.0, 0.999);
@@ -62,7 +63,8 @@ pub fn as_code() -> Config {
     config
 }
 
-/// A configuration small enough for the reference: 16² planes, 16 hidden units, about twenty steps per ray.
+/// Returns a configuration small enough for the reference: planes of 16² texels, 16 hidden units, about twenty steps
+/// per ray.
 pub fn small() -> Config {
     let mut config = Config { threads: 1, ..as_code() };
     (config.encoder.plane_size, config.encoder.levels) = (16, 5);
@@ -75,7 +77,7 @@ pub fn small() -> Config {
     config
 }
 
-/// `small` with a hash grid of four levels. The last two levels are hashed, and feature rows are padded.
+/// Returns `small` with a hash grid of four levels. The last two levels are hashed, and feature rows are padded.
 fn small_hash_grid() -> Config {
     let (mut config, defaults) = (small(), Config::default());
     // A hash grid rejects settings of the planes.
@@ -92,7 +94,8 @@ fn small_hash_grid() -> Config {
     config
 }
 
-/// `small_hash_grid` with entries of four features, and colours only for samples of sufficient weight.
+/// Returns `small_hash_grid` with entries of four features. Only samples of sufficient weight have their colours
+/// computed.
 fn wide_hash_grid() -> Config {
     let mut config = small_hash_grid();
     (config.hash_grid.features, config.hash_grid.levels) = (4, 5);
@@ -100,19 +103,19 @@ fn wide_hash_grid() -> Config {
     config
 }
 
-/// `small_hash_grid` with levels downweighted where cells are narrow, read at one point or six.
+/// Returns a `small_hash_grid` that reads `points` points per sample (1 or 6) and downweights narrow cells.
 pub fn small_zip(points: u32) -> Config {
     let mut config = small_hash_grid();
     (config.hash_grid.points, config.hash_grid.downweight) = (points, true);
     config
 }
 
-/// Small configurations of the encoders that grow during a run.
+/// Returns small configurations of the encoders that grow during a run.
 pub fn growing() -> [Config; 3] {
     [growing_hash_grid(), growing_tensor(), growing_voxels()]
 }
 
-/// `small_hash_grid` with levels that become active during a run.
+/// Returns `small_hash_grid` with levels that become active during a run.
 pub fn growing_hash_grid() -> Config {
     let mut config = small_hash_grid();
     let all = f64::from(config.hash_grid.levels);
@@ -120,7 +123,7 @@ pub fn growing_hash_grid() -> Config {
     config
 }
 
-/// `small` with ripmaps on six planes, three levels along each axis.
+/// Returns `small` with ripmaps on six planes, three levels along each axis.
 fn small_rip_map() -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::RipMap, ..defaults.encoder };
@@ -129,7 +132,7 @@ fn small_rip_map() -> Config {
     config
 }
 
-/// `small_rip_map` on three or ten planes of a box with three different sides.
+/// Returns `small_rip_map` with three planes and with ten, each in a box with three different sides.
 fn other_rip_maps() -> [Config; 2] {
     [3, 10].map(|planes| {
         let mut config = small_rip_map();
@@ -140,7 +143,7 @@ fn other_rip_maps() -> [Config; 2] {
     })
 }
 
-/// `small` with the factors of small tensors, TensoRF's networks, and colours only for samples of sufficient weight.
+/// Returns `small` with tensor factors, TensoRF's networks, and colours only for samples of sufficient weight.
 fn small_tensor() -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::Tensor, ..defaults.encoder };
@@ -155,7 +158,7 @@ fn small_tensor() -> Config {
     config
 }
 
-/// `small_tensor` with factors that grow twice during a run.
+/// Returns `small_tensor` with factors that grow twice during a run.
 pub fn growing_tensor() -> Config {
     let mut config = small_tensor();
     config.tensor.sides = Schedule::new(vec![[0.0, 5.0], [0.2, 7.0], [0.4, 9.0]]);
@@ -163,7 +166,7 @@ pub fn growing_tensor() -> Config {
     config
 }
 
-/// `small_tensor` with products of three lines, in a box with three different sides.
+/// Returns `small_tensor` with products of three lines (CP), in a box with three different sides.
 fn small_lines() -> Config {
     let mut config = small_tensor();
     config.tensor.decomposition = Decomposition::Cp;
@@ -172,7 +175,7 @@ fn small_lines() -> Config {
     config
 }
 
-/// `small` with positional encodings: plain, or integrated over the Gaussian of a sample.
+/// Returns `small` with positional encodings: plain, or integrated over the Gaussian of a sample.
 fn small_frequencies(integrated: bool) -> Config {
     let (mut config, defaults) = (small(), Config::default());
     config.encoder = EncoderConfig { kind: EncoderKind::Frequencies, ..defaults.encoder };
@@ -195,14 +198,14 @@ fn small_voxels() -> Config {
     config
 }
 
-/// `small_voxels` with a grid that grows twice during a run.
+/// Returns `small_voxels` with a grid that grows twice during a run.
 pub fn growing_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.sides = Schedule::new(vec![[0.0, 4.0], [0.2, 5.0], [0.4, 7.0]]);
     config
 }
 
-/// `small_voxels` with nine harmonics, in a box with three different sides.
+/// Returns `small_voxels` with nine harmonics, in a box with three different sides.
 fn other_voxels() -> Config {
     let mut config = small_voxels();
     config.voxels.harmonics = 3;
@@ -211,7 +214,7 @@ fn other_voxels() -> Config {
     config
 }
 
-/// `small` with networks like NeRF's: biases, a skip connection, another width for colour, a rectified density.
+/// Returns `small` with networks like NeRF's: biases, a skip connection, another width for colour, ReLU density.
 pub fn nerf_networks() -> Config {
     let mut config = small();
     let field = &mut config.field;
@@ -222,14 +225,14 @@ pub fn nerf_networks() -> Config {
     config
 }
 
-/// `small` with the mip level of a sample as an additional feature.
+/// Returns `small` with the mip level of a sample as an additional feature.
 fn with_level() -> Config {
     let mut config = small();
     config.encoder.level_input = true;
     config
 }
 
-/// `config` with the encoder of `by` and the settings that belong to that encoder.
+/// Returns `config` with the encoder of `by` and the settings that belong to that encoder.
 pub fn encoded(config: Config, by: &Config) -> Config {
     let optimizer = OptimizerConfig {
         plane_scale: by.optimizer.plane_scale,
@@ -239,7 +242,7 @@ pub fn encoded(config: Config, by: &Config) -> Config {
     let (encoder, hash_grid, rip_map) = (by.encoder.clone(), by.hash_grid.clone(), by.rip_map.clone());
     let renderer =
         RendererConfig { color_weight: by.renderer.color_weight.clone(), ..config.renderer.clone() };
-    // Density features of tensors sum up to the density and need networks of their own.
+    // A tensor's density features sum up to the density, so that encoder needs its own networks.
     let field = if by.encoder.kind == EncoderKind::Tensor { by.field.clone() } else { config.field };
     Config {
         encoder,
@@ -255,12 +258,12 @@ pub fn encoded(config: Config, by: &Config) -> Config {
     }
 }
 
-/// A small configuration for each encoder.
+/// Returns a small configuration for each encoder.
 pub fn every_encoder() -> Vec<Config> {
     vec![small(), small_hash_grid(), small_rip_map(), small_tensor(), small_frequencies(true), small_voxels()]
 }
 
-/// [`every_encoder`], and variants that compute their features in other ways.
+/// Returns [`every_encoder`], and variants that compute features or colours in other ways.
 pub fn every_variant() -> Vec<Config> {
     let mut all = every_encoder();
     all.push(wide_hash_grid());
@@ -271,8 +274,8 @@ pub fn every_variant() -> Vec<Config> {
     all
 }
 
-/// Parameters far from their small initial values: texels in ±1, layers 1.5 times Glorot's bound. Densities range from
-/// nearly transparent to nearly opaque, and no ReLU layer is dead.
+/// Returns parameters far from their small initial values: texels in ±1, weights of layers up to 1.5 times Glorot's
+/// bound. Densities then range from nearly transparent to nearly opaque, and no ReLU layer is dead.
 pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     let mut random = TestRandom::new(seed);
     let bound = |slot: &Slot| match slot.name.as_str() {
@@ -288,8 +291,8 @@ pub fn lively(layout: &Layout, seed: u64) -> Vec<f32> {
     values
 }
 
-/// Photographs of noise at `scales` scales: `count` square views of `size` pixels that look at the origin from 4 units
-/// away. The corners of a picture look past the box.
+/// Returns photographs of noise at `scales` scales: `count` square views of `size` pixels, whose cameras look at the
+/// origin from a distance of 4 units. The rays of a picture's corners miss the box.
 pub fn noise(count: usize, size: u32, scales: u32, seed: u64) -> ViewSet {
     let mut random = TestRandom::new(seed);
     let cameras: Vec<Camera> = (0..count)
@@ -305,7 +308,7 @@ pub fn noise(count: usize, size: u32, scales: u32, seed: u64) -> ViewSet {
     photographs(&cameras, scales, |_, _| random.bits().to_le_bytes()[..4].try_into().unwrap_or_default())
 }
 
-/// Views of `cameras` at `scales` scales; `pixel(view, index)` gives straight RGBA.
+/// Returns views of `cameras` at `scales` scales; `pixel(view, index)` returns the straight RGBA of a pixel.
 pub fn photographs(
     cameras: &[Camera],
     scales: u32,
@@ -337,13 +340,13 @@ pub fn photographs(
     set
 }
 
-/// Known depth of a pixel, near the origin's distance of 4.
+/// Returns a known depth for a pixel, near 4: the distance of [`noise`]'s cameras from the origin.
 fn known_depth(pixel: u32) -> KnownDepth {
     let varied = |period: u32| (pixel % period) as f32 / period as f32;
     KnownDepth { pixel, distance: 3.0 + 2.0 * varied(17), deviation: 0.05 + 0.4 * varied(7) }
 }
 
-/// Parameters of a uniform field: texels 1, one density, one colour in every direction.
+/// Returns the parameters of a uniform field: texels of 1, one density, and one colour in every direction.
 pub fn constant(config: &Config, layout: &Layout, density: f64, rgb: [f64; 3]) -> Vec<f32> {
     let mut values = vec![0.0_f32; layout.len()];
     let last_density = format!("density.{}.weight", config.field.density_layers);

@@ -1,4 +1,4 @@
-//! GPU adapters for the tests. On a machine without an adapter, tests are skipped with a message. If `TRIMIP_REQUIRE_GPU` is
+//! GPU adapters for the tests. On a machine without an adapter, tests print a message and are skipped. If `TRIMIP_REQUIRE_GPU` is
 //! set, they fail instead.
 
 use std::sync::Mutex;
@@ -13,12 +13,12 @@ const SHARE: usize = 16;
 
 /// Runs `part` on the best adapter with each of the `additions` that it supports.
 ///
-/// Several backends share a device and its compiled kernels, because Mesa's software driver never frees the code of a kernel,
-/// and a process that compiles tens of thousands of them runs out of memory mappings. The driver also keeps some memory of every
-/// dispatch for as long as the device lives, so the backends of a part use several devices.
+/// Several backends share a device and its compiled kernels, because Mesa's software driver never frees the code of a kernel: a
+/// process that compiles tens of thousands of kernels runs out of memory mappings. The driver also keeps some memory of every
+/// dispatch until the device is dropped, so a limited number of backends share each device.
 ///
 /// # Panics
-/// If `part` fails, or if an adapter is required and there is none.
+/// If `part` fails, or if an adapter is required and the machine has none.
 pub fn with(additions: &[Addition], part: impl Fn(&(dyn Fn() -> WgpuBackend + Sync)) -> Result<()>) {
     if trimip_wgpu::adapters().is_empty() {
         assert!(
@@ -51,7 +51,7 @@ pub fn with(additions: &[Addition], part: impl Fn(&(dyn Fn() -> WgpuBackend + Sy
     }
 }
 
-/// Runs a test that needs bitwise reproducible results.
+/// Runs `part`, which needs bitwise reproducible results, with fixed-point additions.
 pub fn reproducibly(part: impl Fn(&(dyn Fn() -> WgpuBackend + Sync)) -> Result<()>) {
     with(&[Addition::Fixed], part);
 }

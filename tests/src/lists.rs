@@ -1,38 +1,38 @@
-//! The lists of ARCHITECTURE.md: the files of a new member of a registry, with `NAME` for the member's name. Every path quoted in a
-//! numbered item is a place of the list: a file or a folder. A sentence that begins with "If" lists places that only some members
-//! need; a sentence with `TRIMIP_WRITE_DOCS` lists places that a command writes. Paths between the items are no places.
+//! The lists of ARCHITECTURE.md: the files that a new member of a registry needs, with `NAME` for the member's name. Every path quoted in
+//! a numbered item is an entry of the list, a file or a folder. A sentence that begins with "If" names entries that only some members
+//! need; a sentence with `TRIMIP_WRITE_DOCS` names entries that a command writes. Paths between the items are not entries.
 
-/// The members that need a place of a list.
+/// States which members need an entry of a list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// Every member.
     Every,
     /// Some members.
     Some,
-    /// A command that writes the place from the others.
+    /// No member: a command writes the entry.
     Written,
 }
 
-/// A place of a list.
+/// An entry of a list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
     /// A file, or a folder with a slash at its end, relative to the root of the workspace.
     pub path: String,
-    /// Who needs it.
+    /// The members that need it.
     pub need: Need,
 }
 
 impl Place {
-    /// True if a file is this place, or lies below it.
+    /// Returns true if `file` is this entry, or lies in this folder.
     pub fn holds(&self, file: &str) -> bool {
         file == self.path || self.path.ends_with('/') && file.starts_with(&self.path)
     }
 }
 
-/// The text of a section of ARCHITECTURE.md.
+/// Returns the text of a section of ARCHITECTURE.md.
 ///
 /// # Panics
-/// If it has no such section.
+/// If the document has no such section.
 pub fn section<'a>(text: &'a str, title: &str) -> &'a str {
     let begin =
         text.find(&format!("## {title}\n")).unwrap_or_else(|| panic!("ARCHITECTURE.md has no \"{title}\""));
@@ -40,7 +40,7 @@ pub fn section<'a>(text: &'a str, title: &str) -> &'a str {
     &rest[..rest.find("\n## ").unwrap_or(rest.len())]
 }
 
-/// The places that the numbered items of a section name for the member `name`.
+/// Returns the entries that the numbered items of a section name, for the member `name`.
 pub fn places(section: &str, name: &str) -> Vec<Place> {
     let section = section.replace("NAME", name);
     let mut found = Vec::new();
@@ -57,7 +57,7 @@ pub fn places(section: &str, name: &str) -> Vec<Place> {
     found
 }
 
-/// The numbered items of a section, each in one line.
+/// Returns the numbered items of a section, each as one line.
 fn items(section: &str) -> Vec<String> {
     let mut items: Vec<String> = Vec::new();
     let mut open = false;
@@ -75,7 +75,7 @@ fn items(section: &str) -> Vec<String> {
     items
 }
 
-/// The paths that a text quotes: those with a slash, and Markdown files of the root.
+/// Returns the paths that a text quotes: those with a slash, and Markdown files at the root.
 fn paths(text: &str) -> impl Iterator<Item = &str> {
     let quoted = text.split('`').skip(1).step_by(2);
     quoted.filter(|text| !text.contains(' ') && (text.contains('/') || text.ends_with(".md")))

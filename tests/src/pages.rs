@@ -1,21 +1,21 @@
-//! Checks of every page that the program writes, in a real browser: it fits telephones and wide screens.
+//! Checks in a real browser that every page the program writes fits telephones and wide screens.
 
 use crate::watching::Browser;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Width of a telephone, pixels.
+/// Width of a telephone in pixels.
 pub const TELEPHONE: u32 = 390;
 
-/// Widths of the windows, pixels: a telephone, a laptop and a wide screen.
+/// Widths of the windows in pixels: a telephone, a laptop and a wide screen.
 const WIDTHS: [u32; 3] = [TELEPHONE, 1200, 1920];
 
-/// Height of the windows, and of the tallest screenshot of a page, pixels.
+/// Height of the windows, and of the tallest screenshot of a page, in pixels.
 const HEIGHT: u32 = 900;
 const TALLEST: u64 = 12_000;
 
-/// Lists cut-off elements. An element is cut off if it extends beyond the window and no element around it scrolls; a label, if it
-/// extends beyond its drawing. The script opens closed sections first.
+/// Script that opens all closed sections and lists the cut-off elements. An element is cut off if it extends beyond the window
+/// and no element around it scrolls; a label is cut off if it extends beyond its drawing.
 const CUT_OFF: &str = "(() => {
     document.querySelectorAll('details').forEach((part) => { part.open = true; });
     const scrolls = (element) => element && element !== document.body
@@ -31,7 +31,7 @@ const CUT_OFF: &str = "(() => {
     return out;
 })()";
 
-/// Opens a page in windows of all widths, in light and dark colours and in print.
+/// Opens a page in windows of all widths, in light colours, in dark colours and in print.
 ///
 /// # Panics
 /// If any part of the page is cut off.
@@ -65,7 +65,7 @@ pub fn expect_nothing_cut_off(browser: &mut Browser, what: &str) {
     assert_eq!(browser.value(CUT_OFF), json!([]), "{what}");
 }
 
-/// Sets the size of the page's window in pixels. Chromium's own windows are not as narrow as telephones.
+/// Sets the size of the page's viewport in pixels. Chromium's own windows cannot be as narrow as telephones.
 pub fn resize(browser: &mut Browser, width: u32, height: u32) {
     let size: Value = json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
     browser.call("Emulation.setDeviceMetricsOverride", size);

@@ -1,4 +1,4 @@
-//! Ranks that are threads of one process.
+//! Ranks that run as threads of one process.
 
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
@@ -6,12 +6,12 @@ use std::time::Duration;
 use trimip_core::engine::exchange::{Rank, Ranks};
 use trimip_core::{Error, Result};
 
-/// A rank that is silent for longer counts as ended.
+/// Time after which a silent rank counts as ended.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 type Message = (usize, Vec<u8>);
 
-/// One rank. `all_to_all` and `send` use channels of their own.
+/// One rank. `all_to_all` and `send` use separate channels.
 pub struct Threads {
     this_rank: Rank,
     traded: Vec<Sender<Message>>,
@@ -22,7 +22,7 @@ pub struct Threads {
     pub bytes: Mutex<u64>,
 }
 
-/// Received messages by sender. A rank may be one `all_to_all` ahead of another.
+/// Received messages, grouped by sender. A rank may be one `all_to_all` ahead of another.
 struct Inbox {
     receiver: Receiver<Message>,
     early: Vec<Vec<Vec<u8>>>,
@@ -48,7 +48,7 @@ impl Threads {
     }
 }
 
-/// The error of a rank whose thread has ended.
+/// Returns the error for a rank whose thread has ended.
 fn gone<E>(_: E) -> Error {
     Error::device("another rank has ended")
 }

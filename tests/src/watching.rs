@@ -28,9 +28,9 @@ const KEYS: [[&str; 2]; 6] = [
 /// A running program that serves a page. Dropping the value kills the program.
 pub struct Shown {
     child: Child,
-    /// `127.0.0.1:PORT`.
+    /// Host and port of the server: `127.0.0.1:PORT`.
     pub host: String,
-    /// The token of the address.
+    /// Token in the address of the page.
     pub token: String,
 }
 
@@ -38,12 +38,12 @@ impl Shown {
     /// Starts the program on the model `model` in `folder`.
     ///
     /// # Panics
-    /// If it does not print an address.
+    /// If the program does not print an address.
     pub fn start(folder: &Path, model: &str) -> Self {
         Self::start_with(folder, model, &[])
     }
 
-    /// As [`start`](Self::start), with these options.
+    /// Starts the program as [`start`](Self::start) does, with the given options.
     ///
     /// # Panics
     /// As [`start`](Self::start).
@@ -60,7 +60,7 @@ impl Shown {
     /// Starts a training run that serves a page.
     ///
     /// # Panics
-    /// If it does not print an address.
+    /// If the program does not print an address.
     pub fn training(folder: &Path, arguments: &[&str]) -> Self {
         let mut child = command(folder, arguments)
             .stdout(Stdio::null())
@@ -87,7 +87,7 @@ impl Shown {
     /// Waits for the end of the program; returns its exit code.
     ///
     /// # Panics
-    /// If it does not end.
+    /// If the program does not end.
     pub fn ended(&mut self) -> Option<i32> {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -99,12 +99,12 @@ impl Shown {
         }
     }
 
-    /// The address of the page.
+    /// Returns the address of the page.
     pub fn address(&self) -> String {
         format!("http://{}/{}/", self.host, self.token)
     }
 
-    /// Status and body of `GET /path` with more header lines.
+    /// Returns the status and the body of `GET /path` with additional header lines.
     ///
     /// # Panics
     /// If the server does not answer.
@@ -128,10 +128,10 @@ impl Shown {
         (status, answer[end + 4..].to_vec())
     }
 
-    /// Opens the web socket, as a page of `origin` would.
+    /// Opens the web socket as a page of `origin` would.
     ///
     /// # Errors
-    /// The status with which the server refuses.
+    /// The HTTP status with which the server refuses.
     pub fn join(&self, token: &str, origin: Option<&str>) -> Result<Page, u16> {
         let mut request =
             format!("ws://{}/{token}/socket", self.host).into_client_request().expect("an address");
@@ -145,14 +145,14 @@ impl Shown {
         }
     }
 
-    /// Resident memory, bytes; `None` if the system does not report it.
+    /// Returns the resident memory in bytes; `None` if the system does not report it.
     pub fn memory(&self) -> Option<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
         let line = status.lines().find(|line| line.starts_with("VmRSS"))?;
         Some(line.split_whitespace().nth(1)?.parse::<u64>().ok()? * 1024)
     }
 
-    /// True while the program runs.
+    /// Returns true while the program runs.
     pub fn lives(&mut self) -> bool {
         self.child.try_wait().is_ok_and(|ended| ended.is_none())
     }
@@ -165,7 +165,7 @@ impl Drop for Shown {
     }
 }
 
-/// A socket whose reads fail after [`PATIENCE`].
+/// Returns the socket with a timeout: reads fail after [`PATIENCE`].
 fn patient(socket: WebSocket<MaybeTlsStream<TcpStream>>) -> WebSocket<MaybeTlsStream<TcpStream>> {
     if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
         stream.set_read_timeout(Some(PATIENCE)).expect("a socket has a timeout");
@@ -198,7 +198,7 @@ impl Page {
     /// Returns the next status of the training run; pictures before it are dropped.
     ///
     /// # Panics
-    /// If the socket closes first, or something else comes.
+    /// If the socket closes first, or if a text other than a status arrives.
     pub fn status(&mut self) -> Value {
         loop {
             match self.socket.read().expect("news") {
@@ -216,7 +216,7 @@ impl Page {
     /// Returns the next picture; status messages before it are dropped.
     ///
     /// # Panics
-    /// If the socket closes first, or an error comes.
+    /// If the socket closes first, or if an error message arrives.
     pub fn picture(&mut self) -> Received {
         loop {
             match self.receive() {
@@ -260,7 +260,7 @@ impl Page {
     }
 }
 
-/// A view from `eye` to the origin, z up.
+/// Returns the request for a view from `eye` to the origin, with z up.
 ///
 /// # Panics
 /// If `eye` is on the z axis.
@@ -285,16 +285,16 @@ pub struct Browser {
 }
 
 impl Browser {
-    /// Starts Chromium. Without Chromium, prints a line and returns `None`; with `TRIMIP_REQUIRE_BROWSER=1` it panics
-    /// instead.
+    /// Starts Chromium. If the machine has no Chromium, prints a line and returns `None`, or panics if `TRIMIP_REQUIRE_BROWSER`
+    /// is set.
     ///
     /// # Panics
-    /// If it does not start.
+    /// If Chromium does not start.
     pub fn start(width: u32, height: u32) -> Option<Self> {
         Self::start_with(width, height, &["--disable-gpu"])
     }
 
-    /// As [`start`](Self::start), with these options.
+    /// Starts Chromium as [`start`](Self::start) does, but with the given options.
     ///
     /// # Panics
     /// As [`start`](Self::start).
@@ -366,7 +366,7 @@ impl Browser {
         self.try_call(method, parameters).unwrap_or_else(|error| panic!("{method}: {error}"))
     }
 
-    /// As [`call`](Self::call); `Err` is the browser's refusal.
+    /// Calls a method and returns its result; `Err` is the error that the browser returns.
     fn try_call(&mut self, method: &str, parameters: Value) -> Result<Value, Value> {
         self.next += 1;
         let id = self.next;
@@ -390,15 +390,15 @@ impl Browser {
         self.call("Page.navigate", json!({ "url": address }));
     }
 
-    /// The value of a JavaScript expression; promises are awaited.
+    /// Returns the value of a JavaScript expression; promises are awaited.
     ///
     /// # Panics
-    /// If it throws.
+    /// If the expression throws.
     pub fn value(&mut self, expression: &str) -> Value {
         self.evaluate(expression).unwrap_or_else(|error| panic!("{expression}: {error}"))
     }
 
-    /// The value of an expression; `Err` is the exception that it throws, or the reason why the page does not answer.
+    /// Returns the value of an expression; `Err` is the exception that it throws, or the reason why the page does not answer.
     fn evaluate(&mut self, expression: &str) -> Result<Value, Value> {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let answer = self.try_call("Runtime.evaluate", parameters)?;
@@ -413,7 +413,7 @@ impl Browser {
     /// not yet true.
     ///
     /// # Panics
-    /// If it stays false; the message contains the last answer.
+    /// If the expression stays false; the panic message contains the last answer.
     pub fn wait(&mut self, expression: &str) {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -426,7 +426,7 @@ impl Browser {
         }
     }
 
-    /// Drags with the mouse, in ten steps.
+    /// Drags the mouse in ten steps.
     pub fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
         let mut event = |kind: &str, [x, y]: [f64; 2], buttons: u32| {
             let button = if buttons > 0 || kind == "mouseReleased" { "left" } else { "none" };
@@ -441,7 +441,7 @@ impl Browser {
         event("mouseReleased", to, 0);
     }
 
-    /// Presses and releases a key by its name in JavaScript. It goes to the element that has the focus.
+    /// Presses and releases a key, given by its name in JavaScript. The event goes to the element that has the focus.
     pub fn press(&mut self, key: &str) {
         let text = if key.chars().count() == 1 { key } else { "" };
         self.call("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": key, "text": text }));
@@ -470,7 +470,7 @@ impl Browser {
         }
     }
 
-    /// True if screenshots are kept for inspection: `TRIMIP_SCREENSHOTS` names their folder.
+    /// Returns true if screenshots are kept for inspection: `TRIMIP_SCREENSHOTS` names their folder.
     pub fn keeps() -> bool {
         std::env::var_os("TRIMIP_SCREENSHOTS").is_some()
     }
@@ -478,7 +478,7 @@ impl Browser {
     /// Writes a screenshot if `TRIMIP_SCREENSHOTS` is set.
     ///
     /// # Panics
-    /// If it cannot be written.
+    /// If the screenshot cannot be written.
     pub fn keep(&mut self, name: &str) {
         if let Some(folder) = std::env::var_os("TRIMIP_SCREENSHOTS") {
             std::fs::write(Path::new(&folder).join(name), self.screenshot())
@@ -486,10 +486,10 @@ impl Browser {
         }
     }
 
-    /// A PNG of the window.
+    /// Returns the window as a PNG.
     ///
     /// # Panics
-    /// If the browser takes none.
+    /// If the browser takes no screenshot.
     pub fn screenshot(&mut self) -> Vec<u8> {
         let answer = self.call("Page.captureScreenshot", json!({ "format": "png" }));
         let text = answer["data"].as_str().expect("a picture");

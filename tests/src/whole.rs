@@ -1,4 +1,4 @@
-//! Expected result of an interrupted run: everything an uninterrupted run has, and nothing else.
+//! Checks of a run that was interrupted and continued: it has everything that an uninterrupted run has, and nothing else.
 
 use crate::files::files;
 use serde_json::Value;
@@ -21,7 +21,7 @@ impl Whole {
         whole
     }
 
-    /// Compares an interrupted and continued run with this one: the same files, bit for bit except for times, and a whole
+    /// Checks that an interrupted and continued run has the same files as this one, bit for bit except for times, and a complete
     /// report.
     ///
     /// # Errors
@@ -60,7 +60,7 @@ impl Whole {
 /// Files that contain no time.
 const TIMELESS: [&str; 4] = ["model.safetensors", "views.json", "config.toml", "plan.json"];
 
-/// The lines of a curve without seconds, samples and rays. A device that runs ahead reports these counts a step later, or
+/// Returns the lines of a curve without seconds, samples and rays. A device that runs ahead reports these counts a step later, or
 /// at once if a checkpoint waits for them.
 fn timeless_curve(csv: &[u8]) -> Vec<String> {
     let text = String::from_utf8_lossy(csv);

@@ -1,5 +1,5 @@
-//! The asynchronous interface of a GPU: it renders a view without a blocking wait, with the same bits as the blocking
-//! one.
+//! Checks that the asynchronous interface of a GPU renders a view without a blocking wait, with the same bits as the
+//! blocking interface.
 
 use std::future::{Future, poll_fn};
 use std::pin::pin;
@@ -27,7 +27,7 @@ fn waited<T>(future: impl Future<Output = T>) -> (T, usize) {
     (value, pending)
 }
 
-/// Two models for every encoder: one trained briefly, one lively with a full occupancy grid.
+/// Returns two models for every encoder: one trained briefly, one with varied parameters and a full occupancy grid.
 fn models() -> Vec<Model> {
     let mut models = Vec::new();
     for encoder in fixtures::every_encoder() {

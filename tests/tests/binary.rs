@@ -1,4 +1,5 @@
-//! The program on the built-in scene, from the first command to the last picture: files, exit codes, resume.
+//! Checks of the program on the built-in scene, from the first command to the last picture: files, exit codes, and how
+//! runs resume.
 
 use serde_json::Value;
 use std::{fs, path::Path, time::Duration};
@@ -27,7 +28,7 @@ fn assert_report(report: &Value, steps: u64, scales: usize) {
     }
     assert_eq!(report["steps"], steps);
     assert!(report["train_seconds"].as_f64().is_some_and(|s| s > 0.0));
-    // If the system does not report the peak memory, it is null.
+    // The peak memory is null if the system does not report it.
     assert!(report["peak_memory_bytes"].is_u64() || report["peak_memory_bytes"].is_null());
     let list = |key: &str| report[key].as_array().unwrap_or_else(|| panic!("{key}: {}", report[key])).clone();
     assert_eq!(list("scales").len(), scales);
@@ -371,7 +372,7 @@ fn a_bench_lays_variants_and_seeds_beside_each_other() {
         assert!(row["psnr"].is_f64() && row["seconds"].as_f64().is_some_and(|s| s > 0.0));
     }
     assert!(rows.iter().any(|row| row["pareto"] == true), "some variant is on the front");
-    // The base is `hidden = 16` under another name: both have the same bits and figures.
+    // The base is `hidden = 16` under another name, so both have the same bits and figures.
     assert_eq!(rows[0]["psnr"], rows[2]["psnr"]);
     let csv = fs::read_to_string(folder.path().join("b/bench.csv")).unwrap();
     assert_eq!(csv.lines().count(), 5);
@@ -405,7 +406,7 @@ fn a_bench_of_rendering_converges_to_the_picture_in_f64() {
         .map(|row| row["error"].as_f64().unwrap())
         .collect();
     assert_eq!(errors.len(), 7);
-    // Sixty-four times shorter steps leave only the error of f32, for a barely trained model.
+    // The model is barely trained, so sixty-four times shorter steps leave only the error of f32.
     assert!(errors[6] < 0.1 * errors[0] && errors[6] < 1e-3, "{errors:?}");
     let precisions = 1 + usize::from(trimip_cpu::simd::Simd::detect().has_bf16());
     assert_eq!(rows.iter().filter(|row| row["varied"] == "precision").count(), precisions, "f32, and bf16");
@@ -435,7 +436,7 @@ fn a_bench_of_cones_measures_every_scale_by_every_convention() {
         assert!(sides.is_sorted() && [1, 2, 4, 8].iter().all(|side| sides.contains(side)), "{sides:?}");
         let own = scale.iter().filter(|row| row["own"] == true).count();
         assert_eq!(own, 1, "the model's own number is among them: {scale:?}");
-        // More cones are nearer to the average of the largest number, which has no distance to itself.
+        // Pictures with more cones are closer to the picture with the most cones, which has no PSNR against itself.
         let converged = |i: usize| scale[i]["psnr_converged"].as_f64();
         assert!(converged(0) <= converged(finest - 2) && converged(finest - 1).is_none(), "{scale:?}");
         assert!(scale.iter().any(|row| row["pareto"] == true));
@@ -446,7 +447,7 @@ fn a_bench_of_cones_measures_every_scale_by_every_convention() {
     let csv = fs::read_to_string(folder.path().join("c/cones.csv")).unwrap();
     assert_eq!(csv.lines().count(), rows.len() + 1);
     assert!(fs::read_to_string(folder.path().join("c/cones.svg")).unwrap().contains("seconds a view"));
-    // The figures of one cone are those of `eval`, at every scale.
+    // With one cone, the figures are those of `eval` at every scale.
     let one = ["eval", "run", "--stride", "1000", "--set", "renderer.cones=1", "--json", "eval.json"];
     assert_eq!(run(folder.path(), &one).code, Some(0));
     let measured = json(&folder.path().join("eval.json"));

@@ -1,4 +1,4 @@
-//! The program with `backend = "wgpu"`, the only setting that a user changes.
+//! Checks of the program with `backend = "wgpu"`, the only setting that a user changes to train on a GPU.
 
 use serde_json::Value;
 use std::{fs, path::Path};
@@ -8,7 +8,7 @@ use trimip_tests::{
     gpu,
 };
 
-/// Runs the test if there is an adapter.
+/// Runs the test in a temporary folder if the machine has an adapter.
 fn on_a_gpu(test: impl Fn(&Path)) {
     gpu::reproducibly(|_| {
         test(tempfile::tempdir().expect("a temporary folder").path());
@@ -49,7 +49,7 @@ fn a_run_stops_goes_on_and_is_evaluated_on_either_backend() {
             let psnr = found["mean"]["psnr"].as_f64().expect("a number");
             assert!((psnr - trained).abs() < 0.02, "{backend}: {psnr} dB, trained with {trained} dB");
         }
-        // A run that began on the other backend resumes here.
+        // A run that began on the CPU resumes on the GPU.
         let began = run(folder, &tiny_and(&["--out", "moved", "--stop-after", "5"]));
         assert_eq!(began.code, Some(0), "{}", began.err);
         assert!(on("moved", &[]).out.contains("\"resumed\""));

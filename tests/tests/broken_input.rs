@@ -1,5 +1,5 @@
-//! The program on broken input: exit code 2, one line that begins with `error:` and names the location, nothing
-//! overwritten.
+//! On broken input the program exits with code 2, prints one line that begins with `error:` and names the location, and
+//! overwrites nothing.
 
 use serde_json::{Value, json};
 use std::{fs, path::Path};
@@ -9,7 +9,7 @@ use trimip_tests::{
     zip::{Entry, archive, packed},
 };
 
-/// A folder with the built-in scene as files in `scene`.
+/// Writes the built-in scene to `scene` in a new folder.
 fn scene() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let answer = run(folder.path(), &[&["data", "builtin", "scene"][..], &tiny()].concat());
@@ -17,7 +17,7 @@ fn scene() -> TempDir {
     folder
 }
 
-/// Arguments that train on that scene.
+/// Returns the arguments that train on that scene.
 fn training() -> Vec<&'static str> {
     tiny_and(&["--out", "run", "--set", "data.format=auto", "--set", "data.root=scene"])
 }
@@ -130,7 +130,7 @@ fn broken_archives_are_refused() {
         refuses(here, &training, &places);
         assert!(!here.join("a").exists() && !here.join("a.zip.tmp").exists());
     }
-    // `scene` was not unpacked from this archive.
+    // The folder `scene` exists, but was not unpacked from this archive.
     fs::write(here.join("scene.zip"), good).unwrap();
     refuses(here, &["plan", "scene.zip"], &["scene: already holds a scene, so scene.zip", "name scene"]);
     fs::write(here.join("scene.tar"), "").unwrap();
@@ -156,7 +156,7 @@ fn wrong_settings_and_arguments_are_refused() {
         (&["--set"], &["--set"]),
         (&["--frobnicate"], &["--frobnicate"]),
         (&["--stop-after", "soon"], &["--stop-after", "soon"]),
-        // Refused before any photograph is read, whether or not the build has LPIPS.
+        // The missing file is reported before any photograph is read, whether or not the build has LPIPS.
         (
             &["--set", "data.format=builtin", "--set", "eval.lpips=gone.onnx"],
             &["gone.onnx", "eval.lpips=\"\""],
@@ -222,7 +222,7 @@ fn files_of_a_run_that_do_not_fit_are_refused() {
             &["model.safetensors"],
         );
     }
-    // A checkpoint in place of a model, and vice versa.
+    // The checkpoint takes the place of the model, and vice versa.
     fs::write(&path, &whole).unwrap();
     refuses(here, &["eval", "run"], &["model.safetensors", "trimip-checkpoint"]);
     fs::write(here.join("run/checkpoint.safetensors"), &model).unwrap();

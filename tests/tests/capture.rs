@@ -1,6 +1,6 @@
-//! The verb `capture`, with programs that imitate ffmpeg, COLMAP of several versions, pycolmap and glomap: the arguments of their
-//! calls, the choice among them, the files that remain when one fails or is killed, and the messages to the user.
-//! `TRIMIP_REQUIRE_COLMAP=1` also runs the test of `fakes/real.rs`, which calls the real programs.
+//! Checks of the verb `capture`, with programs that imitate ffmpeg, COLMAP of several versions, pycolmap and glomap: the
+//! arguments of its calls, its choice among the programs, the files that remain when a program fails or is killed, and its
+//! messages to the user. `TRIMIP_REQUIRE_COLMAP=1` also runs the test of `fakes/real.rs`, which calls the real programs.
 
 #![cfg(unix)]
 
@@ -70,7 +70,7 @@ fn photographs_become_a_scene_by_colmap_3_8() {
     assert!(log.contains("feature_extractor") && log.contains("Processed file [12/12]"), "{log}");
     assert!(told.contains("\"done\":1,\"total\":12"), "{told}");
 
-    // The same command again does nothing, even without any program. The result is a scene that other verbs read.
+    // A second run of the command does nothing, even without any program. The result is a scene that other verbs read.
     let whole = files(&place.path("captures/walk"));
     fs::remove_dir_all(place.path("fake/bin")).unwrap();
     let again = place.captures(&["walk"]);
@@ -189,7 +189,7 @@ fn a_film_of_any_name_gives_its_sharpest_frames() {
             && place.has("captures/-a fílm 1/sparse/0/images.bin")
     );
 
-    // An older ffmpeg has another name for the option.
+    // The option has another name in older versions of ffmpeg.
     place.sign("ffmpeg-help", "-vsync x\n");
     place.captures(&["--frames", "10", "--out", "old", "--", film]);
     assert!(place.calls()[0].contains("-vsync passthrough"));
@@ -214,7 +214,7 @@ fn a_stage_that_failed_is_done_again_and_those_before_it_are_kept() {
         assert_eq!(place.commands(), stages[index..=index].to_vec(), "{stage}");
         place.unsign(&format!("fail-{stage}"));
         if index + 1 < stages.len() {
-            // The next stage fails, so this one is finished.
+            // Only the next stage fails, so this one is finished.
             place.sign(&format!("fail-{}", stages[index + 1]), "E\n");
             assert_eq!(place.run(&["capture", "walk"]).code, Some(1));
             assert_eq!(place.commands(), stages[index..index + 2].to_vec());
@@ -242,7 +242,7 @@ fn what_is_changed_is_done_again_from_there() {
         place.captures(&[&["walk"], more].concat());
         assert_eq!(place.commands(), expected, "{more:?}");
     }
-    // A removed photograph, or a removed picture of the capture, changes the input.
+    // Removing a photograph, or a picture of the capture, changes the input.
     for change in ["walk/11.jpg", "captures/walk/images/03.jpg"] {
         place.captures(&["walk"]);
         place.calls();
@@ -254,7 +254,7 @@ fn what_is_changed_is_done_again_from_there() {
     }
 }
 
-/// True if a process exists and is no zombie.
+/// Returns true if a process exists and is no zombie.
 fn lives(id: &str) -> bool {
     fs::read_to_string(format!("/proc/{id}/stat")).is_ok_and(|stat| !stat.contains(") Z "))
 }
@@ -417,7 +417,7 @@ fn a_model_with_lost_cameras_is_tried_again_without_distortion() {
     let inspected = place.run(&["data", "inspect", "captures/walk"]);
     assert!(inspected.out.contains("1 of 12 photographs, the first 07,"), "{inspected:?}");
 
-    // The first model stays if the second one is no better, and a lens without distortion has no second one.
+    // The first model is kept if the second one is no better; for a lens model without distortion there is no second one.
     place.lost_models(&[7], &[3, 7]);
     assert!(place.captures(&["walk", "--out", "b"]).contains("11 of 12 pictures placed"));
     assert_eq!(place.calls().len(), 4);
@@ -464,7 +464,7 @@ fn of_several_models_the_largest_is_taken_and_the_rest_is_told() {
     let name = |view: usize| format!("{view:02}.jpg");
     place.model(0, &[9, 10], name);
     place.model(1, &[0, 1, 2, 3, 4, 5, 6, 7], name);
-    // A blurred photograph.
+    // Photograph 11 is blurred.
     let blurred = image::open(place.path("walk/11.jpg")).unwrap().blur(6.0);
     blurred.save(place.path("walk/11.jpg")).unwrap();
     let told = place.captures(&["walk"]);

@@ -1,4 +1,4 @@
-//! One capture in several formats trains to the same bits.
+//! Checks that a capture trains to the same bits from COLMAP's text files as from its binary files.
 
 #[path = "../../trimip-data/tests/common/mod.rs"]
 mod common;
@@ -7,7 +7,7 @@ use common::{assert_same, colmap::capture, save_image, settings};
 use std::path::Path;
 use trimip_core::{Config, ViewSet, field::tensors::TensorFile};
 
-/// The model after a few steps on the CPU.
+/// Returns the model after a few steps on the CPU.
 fn trained(set: ViewSet) -> TensorFile {
     let mut config = Config::default();
     (config.encoder.plane_size, config.field.hidden, config.occupancy.resolution) = (128, 16, 16);

@@ -1,4 +1,4 @@
-//! The program's catalogue of stiff and extreme cases passes on every backend of this machine.
+//! Checks that the stiff and extreme cases of the verb `check` pass on every backend of this machine.
 
 use serde_json::Value;
 use trimip_tests::binary::run;

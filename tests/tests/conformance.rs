@@ -1,4 +1,4 @@
-//! The suite for every backend, on the CPU with each instruction set and several numbers of threads.
+//! Runs the suite for every backend on the CPU, with each instruction set and several numbers of threads.
 
 use std::sync::Arc;
 use trimip_core::{
@@ -68,7 +68,8 @@ fn a_homogeneous_medium_is_exact_for_every_camera_model() {
 
 #[test]
 fn gradients_are_finite_differences() {
-    // The reference loss is slow, and `determinism.rs` proves that threads change no bit.
+    // One number of threads is enough: the reference loss is slow, and `determinism.rs` proves that threads change no
+    // bit.
     with_threads(&[2], |make| suite::gradients::finite_differences(make));
 }
 
@@ -194,7 +195,7 @@ fn no_checkpoint_has_an_update_by_a_loss_that_is_not_finite() {
     with_threads(&[2], |make| suite::training::spoilt(make));
 }
 
-/// The exchange of the CPU backend.
+/// Creates the exchange of the CPU backend.
 fn together(ranks: Arc<dyn Ranks>, config: &Config) -> Box<dyn Exchange<CpuBackend>> {
     Box::new(DataParallel::new(ranks, &config.train).expect("few ranks"))
 }

@@ -1,4 +1,4 @@
-//! The crop of a scene as a user meets it: chosen by the plan, stored in the model, applied to meshes, films and pages.
+//! Checks of the crop of a scene: the plan chooses it, the model stores it, and meshes, films and pages apply it.
 
 use serde_json::{Value, json};
 use std::{fs, path::Path};
@@ -12,9 +12,9 @@ fn train(here: &Path, more: &[&str]) {
     assert_eq!(answer.code, Some(0), "{}", answer.err);
 }
 
-/// Vertices of the mesh that the program writes with these arguments, and the program's output.
+/// Writes the mesh of the run, with additional arguments; returns its vertices and the program's output.
 fn mesh(here: &Path, more: &[&str]) -> (Vec<[f64; 3]>, String) {
-    // After twenty steps space is a fog of low density.
+    // After twenty training steps, space is a fog of low density.
     let export = ["export", "mesh", "run", "--out", "mesh.obj", "--resolution", "32", "--level", "0.01"];
     let answer = run(here, &[&export[..], &["--triangles", "0", "--no-colors"], more].concat());
     assert_eq!(answer.code, Some(0), "{}", answer.err);
@@ -26,7 +26,7 @@ fn mesh(here: &Path, more: &[&str]) -> (Vec<[f64; 3]>, String) {
     (vertices.collect(), answer.out)
 }
 
-/// Centre and radius of the ball that the plan chose.
+/// Returns the centre and the radius of the ball that the plan chose.
 fn planned(here: &Path) -> Vec<f64> {
     let config = fs::read_to_string(here.join("run/config.toml")).unwrap();
     let line = config.lines().find_map(|line| line.strip_prefix("crop = \"ball ")).expect("a ball");
@@ -56,7 +56,7 @@ fn the_mesh_of_a_place_is_its_crop() {
     assert!(told.contains("crop: box -0.2,-0.2,-0.2,0.2,0.3,0.4"), "{told}");
     let inside = |p: &[f64; 3]| (0..3).all(|i| p[i] >= -0.23 && p[i] <= [0.23, 0.33, 0.43][i]);
     assert!(part.iter().all(inside), "{part:?}");
-    // The crop is a setting of the model: a copy elsewhere has it too.
+    // The crop is a setting of the model, so a copy of the file elsewhere has it too.
     fs::create_dir(here.join("alone")).unwrap();
     fs::copy(here.join("run/model.safetensors"), here.join("alone/my.safetensors")).unwrap();
     let alone =
@@ -91,11 +91,11 @@ fn pictures_show_the_crop_alone_and_by_default_the_whole_place() {
     let (whole, part) = (opacity("whole", &[]), opacity("part", &["--crop", "auto"]));
     assert!(part > 0.0 && part < whole, "{part} of {whole}");
     assert_eq!(opacity("nothing", &["--crop", "ball 900,900,900,1"]), 0.0);
-    // Another crop in the same folder is another job.
+    // With another crop, `render` begins a new job in the same folder.
     assert_eq!(opacity("whole", &["--crop", "auto"]), part);
 }
 
-/// The description of the scene that `view` sends to its page.
+/// Returns the description of the scene that `view` sends to its page.
 fn about(shown: &Shown) -> Value {
     let (status, text) = shown.get(&format!("/{}/scene.json", shown.token), &[]);
     assert_eq!(status, 200);

@@ -1,5 +1,4 @@
-//! The real binary trains a scene of depth images with the depth term, and the model learns where the surfaces are. The plan and
-//! `data inspect` report the depths.
+//! Checks that the program trains a scene of depth images with the depth term, and that the plan and `data inspect` report the depths.
 
 use glam::DVec3;
 use serde_json::json;
@@ -10,13 +9,13 @@ use trimip_tests::binary::{Answer, refuses, run, tiny_and};
 /// Radius of the room, a ball around the origin.
 const RADIUS: f64 = 3.0;
 
-/// Distance to the wall.
+/// Returns the distance along a ray to the wall.
 fn wall(origin: DVec3, direction: DVec3) -> f64 {
     let along = origin.dot(direction);
     (along * along - origin.length_squared() + RADIUS * RADIUS).sqrt() - along
 }
 
-/// Cameras near the middle, which look outwards.
+/// Returns cameras near the middle, which look outwards.
 fn cameras() -> Vec<Camera> {
     let k = Intrinsics::from_angle(32, 24, 1.2);
     let camera = |i: u32| {
@@ -28,7 +27,7 @@ fn cameras() -> Vec<Camera> {
     (0..24).map(camera).collect()
 }
 
-/// Writes photographs and depth images in millimetres.
+/// Writes a scene of photographs and depth images in millimetres.
 fn scene(root: &Path) {
     for folder in ["images", "depths"] {
         fs::create_dir_all(root.join(folder)).unwrap();
@@ -72,7 +71,8 @@ fn a_scene_with_depth_images_is_trained_with_them_and_says_so() {
     let temporary = tempfile::tempdir().unwrap();
     let here = temporary.path();
     scene(&here.join("room"));
-    // Each of 21 photographs has 768 pixels, and 192 at half the size. Pixels with much nearer or farther neighbours are excluded.
+    // Each of the 21 training photographs has 768 pixels, and 192 at half the size. Pixels with much nearer or farther neighbours are
+    // excluded.
     let inspected = run(here, &["data", "inspect", "room", "--set", "data.scales=2"]);
     done(&inspected);
     let line = "depth images of 21 of 21 training views, 32x24: the rays of ";

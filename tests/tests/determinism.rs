@@ -1,5 +1,5 @@
-//! The same seed gives the same bits for any number of threads; another seed gives others. Empty-space skipping gives
-//! bitwise the same samples as querying every step.
+//! The same seed gives the same bits for any number of threads; another seed gives other bits. Marching with
+//! empty-space skipping gives bitwise the same samples as querying every step.
 
 use trimip_core::{
     Aabb, Layout, Session, Viewer,
@@ -10,8 +10,8 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{fixtures, suite, suite::Bench};
 
-/// The state after some training steps with `threads` threads, and a picture of it. Encoder, cones, edge exponents and
-/// losses are those of `encoder`.
+/// Returns the state after some training steps with `threads` threads, and a picture rendered from it. The encoder, the
+/// cones, the edge exponents and the losses are those of `encoder`.
 fn trained(
     encoder: &trimip_core::Config,
     simd: Simd,
@@ -28,7 +28,8 @@ fn trained(
     config.train.backward_fraction.clone_from(&encoder.train.backward_fraction);
     config.train.error_map.clone_from(&encoder.train.error_map);
     config.renderer.color_weight.clone_from(&encoder.renderer.color_weight);
-    // There are at least 16 partial gradients, so several tiles share one and workers compete for them.
+    // A step of this size has 16 sets of partial gradients, more than there are threads, so workers compete for the
+    // sets.
     config.train.samples_per_step = 4096;
     let views = fixtures::noise(4, 16, 3, 30);
     let camera = views.views[0].camera;
@@ -45,7 +46,8 @@ fn threads_change_no_bit() {
         sets.flat_map(|simd| [Precision::F32, Precision::Bf16].map(|precision| (simd, precision))).collect();
     let mut configurations = fixtures::every_encoder();
     configurations.extend([fixtures::growing_tensor(), fixtures::growing_hash_grid()]);
-    // One, one and nine cones a pixel at the three scales, with and without distortion.
+    // Pixels have one, one and nine cones at the three scales. The second of these configurations adds the distortion
+    // loss, exposure gains and refined poses.
     let mut several_cones = fixtures::small();
     (several_cones.renderer.cones, several_cones.renderer.cone_width) = (3, 0.45);
     several_cones.data.edge_exponents = vec![0.0, 0.25, 0.5];
@@ -57,7 +59,7 @@ fn threads_change_no_bit() {
     configurations.push(several_cones);
     configurations.push(suite::training::drawn());
     configurations.extend(suite::losses::examples(&fixtures::small()).into_iter().map(|(_, config)| config));
-    // Assigning tiles and partial gradients is the same code for every instruction set, so only one set runs all
+    // The code that assigns tiles and partial gradients is the same for every instruction set, so only one set runs all
     // configurations.
     let best = Simd::detect();
     let every = |(i, encoder)| {
@@ -91,7 +93,7 @@ fn another_seed_gives_another_run() {
     }
 }
 
-/// Sample distances from querying every step in the marcher's own precision.
+/// Returns the distances of the samples that result from querying every step, in the marcher's own precision.
 fn every_step(config: &trimip_core::Config, ray: &Ray, offset: f32, bits: &[u8]) -> Vec<f32> {
     let aabb = Aabb::<f32>::new(&config.scene);
     let (enter, leave) = aabb.intersect(ray.origin, ray.direction);

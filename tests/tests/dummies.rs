@@ -1,5 +1,5 @@
-//! Follows every list of ARCHITECTURE.md for a small member, the dummy of `tests/dummies`: the files that it adds or changes are
-//! those that the list names, and the workspace with all dummies compiles. A dummy is a folder with whole files under their paths in
+//! Follows every list of ARCHITECTURE.md for a small new member, a dummy of `tests/dummies`: the files that the dummy adds or changes are
+//! those that the list names, and the workspace with all dummies compiles. The folder of a dummy contains whole files under their paths in
 //! the workspace, and a `lines.toml` with lines to add to existing files.
 //!
 //! `cargo test -p trimip-tests --test dummies -- --ignored --nocapture` also runs the suites of the registries over the dummies. It
@@ -14,7 +14,7 @@ use std::process::Command;
 use trimip_tests::binary::{profile, root, target};
 use trimip_tests::lists::{Need, places, section};
 
-/// The folder of a dummy, the section of its list, and the most files that the list may have.
+/// Kinds of dummies: the folder, the title of the list, and the largest number of files that the list may have.
 const KINDS: [(&str, &str, usize); 6] = [
     ("encoder", "Adding an encoder", 21),
     ("loss", "Adding a loss term", 8),
@@ -24,14 +24,14 @@ const KINDS: [(&str, &str, usize); 6] = [
     ("page", "Adding a page", 4),
 ];
 
-/// Files below the root that are no sources.
+/// Paths below the root that do not belong to the sources.
 const LEFT_OUT: [&str; 4] = ["target", "runs", "data", "tests/dummies"];
 
-/// The tests that run over the registries, in addition to those in the crates.
+/// Tests that run over the registries, in addition to those in the crates.
 const SUITES: [&str; 8] =
     ["structure", "scenes", "conformance", "gpu", "gpu_and_cpu", "library", "formats", "formats_memory"];
 
-/// Files by their paths, with slashes.
+/// Contents of files by path, with slashes.
 type Files = BTreeMap<String, Vec<u8>>;
 
 /// A change of a file.
@@ -43,20 +43,20 @@ struct Line {
     text: String,
 }
 
-/// Position of a text in a file. A line is identified by its beginning, without indentation; no other line of the file begins so.
+/// Position of a text in a file. A line is identified by its beginning, without indentation; no other line may begin with the same text.
 #[derive(Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Place {
-    /// In lines of its own after a line.
+    /// On lines of its own, after the line with this beginning.
     After(String),
-    /// In lines of its own before a line.
+    /// On lines of its own, before the line with this beginning.
     Before(String),
-    /// In place of a text that the file has once.
+    /// In place of this text, which the file contains once.
     Replace(String),
 }
 
 impl Line {
-    /// Returns the file with the text. The error names a place that is missing or ambiguous.
+    /// Returns the text of the file with the change applied. The error names a place that is missing or ambiguous.
     fn apply(&self, text: &str) -> Result<String, String> {
         let at = match &self.place {
             Place::Replace(old) => {
@@ -70,7 +70,7 @@ impl Line {
     }
 }
 
-/// The bytes of the line that begins with `anchor`.
+/// Returns the byte range of the line that begins with `anchor`.
 fn line(text: &str, anchor: &str) -> Result<Range<usize>, String> {
     let mut at = 0;
     let lines = text.split_inclusive('\n').map(|line| {
@@ -80,7 +80,7 @@ fn line(text: &str, anchor: &str) -> Result<Range<usize>, String> {
     one(lines.filter(|(line, _)| line.starts_with(anchor)).map(|(_, range)| range), anchor)
 }
 
-/// Returns the only place of a text.
+/// Returns the only one of `places`; the error contains `text`.
 fn one<T>(mut places: impl Iterator<Item = T>, text: &str) -> Result<T, String> {
     match (places.next(), places.next()) {
         (Some(place), None) => Ok(place),
@@ -89,7 +89,7 @@ fn one<T>(mut places: impl Iterator<Item = T>, text: &str) -> Result<T, String> 
     }
 }
 
-/// The files below a folder of the root, without those that are left out, hidden ones, and folders that cargo builds in.
+/// Returns the files below a folder of the root, without [`LEFT_OUT`], hidden files, and folders in which cargo builds.
 fn files(folder: &str) -> Files {
     let mut found = Files::new();
     for entry in fs::read_dir(root().join(folder)).expect("a folder of the workspace") {
@@ -131,14 +131,14 @@ fn add(kind: &str, all: &mut Files) -> BTreeSet<String> {
     touched
 }
 
-/// The workspace with all dummies.
+/// Returns the files of the workspace with all dummies.
 fn with_all() -> Files {
     let mut all = files("");
     KINDS.iter().for_each(|(kind, ..)| drop(add(kind, &mut all)));
     all
 }
 
-/// Every file of a dummy is a place of its list, and every place that every member needs is a file of the dummy.
+/// Every file of a dummy is an entry of its list, and every entry that all members need is a file of the dummy.
 #[test]
 fn lists_name_the_files_of_their_dummies() {
     let all = files("");
@@ -180,7 +180,7 @@ struct Workspace {
 }
 
 impl Workspace {
-    /// Writes only the files that differ from those of the last copy, so cargo compiles only what has changed.
+    /// Writes only the files that differ from those of the previous copy, so cargo compiles only what has changed.
     fn new() -> Self {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dummies");
         fs::create_dir_all(&folder).expect("the target folder can be written");
@@ -199,7 +199,7 @@ impl Workspace {
         Self { folder, _lock: lock }
     }
 
-    /// Cargo in the copy, without a network.
+    /// Returns a command that runs cargo in the copy, without a network.
     fn cargo(&self, arguments: &[&str]) -> Command {
         let mut cargo = Command::new(env!("CARGO"));
         cargo.args(arguments).args(["--workspace", "--locked", "--offline", "--profile", &profile()]);
@@ -208,8 +208,8 @@ impl Workspace {
     }
 }
 
-/// Gives the crates of the copy another version. Cargo identifies a crate by its version and its place in the workspace. With the
-/// same version it would mistake the copy's crates for those of the workspace, which share the target folder.
+/// Gives the crates of the copy another version. Cargo identifies a crate by its version and its path within the workspace. If the
+/// versions were equal, cargo would mistake the copy's crates for those of the workspace, which share the target folder.
 fn give_another_version(all: &mut Files) {
     let own = concat!("version = \"", env!("CARGO_PKG_VERSION"), "\"\n");
     let [major, minor] = [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR")];
@@ -279,7 +279,7 @@ fn the_suites_of_the_registries_hold_for_the_dummies() {
     assert!(passes(&mut workspace.cargo(&["test", "--test", "program", "dummy"])), "the program fails");
 }
 
-/// Lines are put at their places.
+/// Lines are inserted at the places that they state.
 #[test]
 fn lines_are_put_where_they_say() {
     let apply = |place: &str| {

@@ -1,4 +1,5 @@
-//! `export` as a user runs it: files that other programs can read, and errors for models that cannot be exported.
+//! Checks of the verb `export`: other programs can read its files, and it reports errors for models that it cannot
+//! export.
 
 use std::{fs, path::Path};
 use trimip_tests::binary::{run, tiny_and};
@@ -9,7 +10,7 @@ fn train(here: &Path) {
     assert_eq!(answer.code, Some(0), "{}", answer.err);
 }
 
-/// Vertices and triangles of an OBJ file.
+/// Returns the vertices and triangles of an OBJ file.
 fn read_obj(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     let text = fs::read_to_string(path).unwrap();
     let lines = |key: &'static str| text.lines().filter_map(move |line| line.strip_prefix(key));
@@ -34,7 +35,7 @@ fn read_obj(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     (vertices, triangles)
 }
 
-/// Vertices and triangles of a binary PLY file with places, normals, colours and triangles.
+/// Returns the vertices and triangles of a binary PLY file with positions, normals, colours and triangles.
 fn read_ply(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     let bytes = fs::read(path).unwrap();
     let end = b"end_header\n";
@@ -57,7 +58,7 @@ fn read_ply(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     ((0..vertices).map(place).collect(), (0..triangles).map(corners).collect())
 }
 
-/// Vertices and triangles of a GLB file, read as its JSON chunk describes them.
+/// Returns the vertices and triangles of a GLB file, read as its JSON chunk describes them.
 fn read_glb(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     let bytes = fs::read(path).unwrap();
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
@@ -101,7 +102,8 @@ fn three_formats_hold_the_same_closed_mesh() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     train(here);
-    // After twenty steps the whole hull is a fog of low density, whose surface is that of the hull.
+    // After twenty training steps the whole visual hull is a fog of low density, so the mesh is the surface of the
+    // hull.
     let export = |out: &str| {
         let answer = run(
             here,

@@ -1,5 +1,5 @@
-//! Photographs of different exposures train a model as good as photographs of one exposure do, and training finds their
-//! gains.
+//! Checks that photographs of different exposures train a model as good as that of equally exposed photographs, and
+//! that training finds their gains.
 
 use trimip_core::{
     Config, Frame, Session, ViewSet, Viewer,
@@ -15,19 +15,21 @@ use trimip_tests::fixtures::{GivenFrames, TestRandom, as_code};
 /// Largest root mean square error of log-gains, whose spread is 0.25.
 const TOLERANCE: f64 = 0.07;
 
-/// Largest loss in dB of a model of differently exposed photographs, against one of equally exposed photographs.
+/// Largest deficit in dB of a model of differently exposed photographs, compared with one of equally exposed
+/// photographs.
 const LOSS: f64 = 0.5;
 
 /// Smallest gain in dB over a model that ignores the exposures.
 const GAIN: f64 = 0.5;
 
-/// The gains of each photograph: at most 1, so that no colour is clipped, and at least 0.4, so that few bits are lost.
+/// Returns the gains of each photograph: at most 1, so that no colour is clipped, and at least 0.4, so that few bits
+/// are lost.
 fn known(photographs: usize) -> Vec<[f64; 3]> {
     let mut random = TestRandom::new(5);
     (0..photographs).map(|_| [0; 3].map(|_| random.between(0.4, 1.0))).collect()
 }
 
-/// The photographs with their colours multiplied by these gains.
+/// Returns the photographs with their colours multiplied by `gains`.
 fn multiplied(mut views: ViewSet, gains: &[[f64; 3]]) -> ViewSet {
     let photographs = exposure::photographs(&views);
     for (view, photograph) in views.views.iter().zip(photographs) {
@@ -57,13 +59,13 @@ fn configuration() -> Config {
     config.occupancy.warmup = 64;
     config.train.samples_per_step = 4096;
     config.train.steps = 1000;
-    // A short run.
+    // The run is short, so gains need a high learning rate.
     config.optimizer = OptimizerConfig { exposure_rate: 2e-2, ..Config::default().optimizer };
     config
 }
 
-/// Trains on the scene's photographs, changed by `change`. Returns the PSNR over all test views after each channel is
-/// fitted by a gain, and the log-gains of the photographs.
+/// Trains on the scene's photographs, modified by `change`. Returns the PSNR over all test views, computed after a gain
+/// is fitted to each channel, and the log-gains of the photographs.
 fn trained(config: &Config, change: impl Fn(ViewSet) -> ViewSet) -> (f64, Vec<[f64; 3]>) {
     let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let backend = CpuBackend::new(2, Simd::detect()).unwrap();
@@ -92,7 +94,7 @@ fn trained(config: &Config, change: impl Fn(ViewSet) -> ViewSet) -> (f64, Vec<[f
     (psnr_of_error(left.iter().sum::<f64>() / (3 * count) as f64), trainer.log_gains())
 }
 
-/// Root mean square of the differences of log-gains, after those of known gains are centred.
+/// Returns the root mean square difference of log-gains, after the known ones are centred.
 fn apart(found: &[[f64; 3]], known: &[[f64; 3]]) -> f64 {
     let count = known.len() as f64;
     let mean = [0, 1, 2].map(|c| known.iter().map(|gain| gain[c].ln()).sum::<f64>() / count);
@@ -109,7 +111,7 @@ fn a_test_photograph_of_another_exposure_is_measured_at_it() {
     let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let backend = CpuBackend::new(2, Simd::detect()).unwrap();
     let mut trainer = Trainer::new(backend, &config, scene.train).unwrap();
-    // The model's own pictures, darkened: they differ only in exposure, up to the rounding to 8 bits.
+    // The photograph is the model's own picture, darkened: it differs only in exposure, up to the rounding to 8 bits.
     let mut photograph = scene.test.load(0).unwrap();
     for view in photograph.views.clone() {
         let rendered = trainer.render(&view.camera).unwrap().rgb();
@@ -137,7 +139,7 @@ fn gains_of_photographs_are_found_and_spoil_no_model() {
     config.loss.exposure = Exposure::Gain;
     let (equal, of_equal) = trained(&config, |views| views);
     let (found, of_found) = trained(&config, |views| multiplied(views, &gains));
-    // Part of the error of an imperfect model goes into the gains: for photographs of one exposure, log-gains of 0.035
+    // The gains absorb part of the error of an imperfect model: for photographs of one exposure, log-gains of 0.035
     // remain.
     let (error, spurious) = (apart(&of_found, &gains), apart(&of_equal, &vec![[1.0; 3]; gains.len()]));
     let spread = apart(&vec![[0.0; 3]; gains.len()], &gains);

@@ -1,5 +1,5 @@
-//! A run with non-finite values stops, reports which and when, and keeps the last good checkpoint. A run whose results
-//! cannot be stored continues as far as it can. A run in which no camera sees the box fails.
+//! A run with non-finite values stops, reports the value and the step, and keeps the last good checkpoint. A run whose
+//! results cannot be stored continues as far as it can. A run in which no camera sees the box fails.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -15,7 +15,7 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_tests::{binary, fixtures, suite};
 
-/// Records the steps of the checkpoints.
+/// A store that records the steps of the checkpoints.
 #[derive(Default)]
 struct Shelf(Vec<u64>);
 
@@ -39,7 +39,7 @@ impl Store for Shelf {
     }
 }
 
-/// The given number of test frames, none of which can be read.
+/// The given number of test frames, all of them unreadable.
 struct Unreadable(usize);
 
 impl Frames for Unreadable {
@@ -102,7 +102,7 @@ fn a_test_view_that_cannot_be_read_costs_no_step() {
     assert_eq!(shelf.0, [trainer.checkpoint().expect("a checkpoint").state.totals.step]);
 }
 
-/// The error of a run that continues after step 6 with one NaN parameter, and the steps of its checkpoints.
+/// Continues a run after step 6 with one NaN parameter. Returns the run's error and the steps of its checkpoints.
 fn broken(slot: &str, checkpoint_seconds: f64) -> (trimip_core::Error, Vec<u64>) {
     let mut config = suite::training::configuration();
     config.train.checkpoint_seconds = checkpoint_seconds;
@@ -141,7 +141,8 @@ fn a_number_that_a_relu_hides_from_the_loss_is_found_when_it_would_be_saved() {
     assert_eq!(written, [0_u64; 0], "nothing is written over the last good checkpoint");
 }
 
-/// A store without room for the checkpoints of some steps, and with room for views only if `views`.
+/// A store that has room for the checkpoint of a step only if `room` returns true, and for views only if `views` is
+/// true.
 struct Full {
     room: fn(u64) -> bool,
     views: bool,
@@ -262,7 +263,7 @@ fn a_measure_is_told_when_its_views_are_stored() {
 #[test]
 fn a_run_of_which_no_camera_sees_the_box_fails_and_says_so() {
     let folder = tempfile::tempdir().expect("a folder");
-    // Fewer and more steps than the limit for runs without samples.
+    // One run has fewer steps than the limit for runs without samples, the other more.
     for steps in ["train.steps=20", "train.steps=100"] {
         let away = ["--out", "run", "--fresh", "--set", "scene.aabb_min=[50,50,50]", "--set"];
         let away = [&away[..], &["scene.aabb_max=[51,51,51]", "--set", steps]].concat();

@@ -1,5 +1,5 @@
-//! Scenes far from the origin, for example with poses in map or earth-centred coordinates, plan, train, render and export as the same
-//! scene near the origin. Everything that leaves the program has the coordinates of the photographs.
+//! Checks that scenes far from the origin, for example with poses in map or earth-centred coordinates, plan, train, render and export like
+//! the same scene near the origin. Everything that the program writes has the coordinates of the photographs.
 
 use glam::DVec3;
 use serde_json::{Value, json};
@@ -21,7 +21,7 @@ const FAR: [DVec3; 3] = [
     DVec3::new(0.0, 0.0, -6e6),
 ];
 
-/// Writes the built-in scene, moved. Without `alpha`, its photographs show a sky: a colour for each direction.
+/// Writes the built-in scene, moved by `by`. Without `alpha`, its photographs show a sky with a colour for each direction.
 fn scene(root: &Path, alpha: bool, by: DVec3) {
     let sets = ["data.builtin_size=32", "data.builtin_train=16", "data.builtin_test=2"];
     let mut arguments =
@@ -68,7 +68,7 @@ fn done(answer: &Answer) {
     assert_eq!(answer.code, Some(0), "{answer:?}");
 }
 
-/// Settings of a run of the scene in a folder.
+/// Returns the settings of a run on the scene in a folder.
 fn settings(root: &Path) -> Settings {
     let mut settings = trimip::settings::defaults();
     settings.set("data.root", root.to_str().unwrap()).unwrap();
@@ -78,7 +78,7 @@ fn settings(root: &Path) -> Settings {
     settings
 }
 
-/// The training views, their origin and the planned settings.
+/// Returns the training views, their local origin and the planned settings.
 fn planned(root: &Path) -> (ViewSet, LocalOrigin, Config) {
     let mut settings = settings(root);
     let scene = trimip_data::open(&Config::from_settings(&settings).unwrap().section().unwrap()).unwrap();
@@ -91,7 +91,7 @@ fn planned(root: &Path) -> (ViewSet, LocalOrigin, Config) {
     (scene.train, origin, Config::from_settings(&settings).unwrap())
 }
 
-/// Mean PSNR of the last third of the batches, dB.
+/// Returns the mean PSNR of the last third of the batches, in dB.
 fn trained(config: &Config, views: ViewSet) -> f64 {
     let mut trainer = Trainer::new(CpuBackend::new(2, Simd::detect()).unwrap(), config, views).unwrap();
     let steps = config.train.steps;
@@ -101,8 +101,8 @@ fn trained(config: &Config, views: ViewSet) -> f64 {
     last.iter().sum::<f64>() / last.len() as f64
 }
 
-/// A scene at 6e6 units has the rays, the plan and the training of the same scene near the origin. Adding and subtracting these
-/// coordinates rounds places by up to 1e-9.
+/// A scene at 6e6 units has the same rays, the same plan and the same training as that scene near the origin. Adding and subtracting these
+/// coordinates rounds positions by up to 1e-9.
 #[test]
 fn a_scene_far_away_is_seen_planned_and_learned_as_a_near_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -113,7 +113,7 @@ fn a_scene_far_away_is_seen_planned_and_learned_as_a_near_one() {
         scene(&far, alpha, by);
         let (far_views, origin, far_config) = planned(&far);
         assert!(origin.numbers().iter().all(|x| x.fract() == 0.0), "{origin}");
-        // The near scene has the position in its coordinates that the far scene has relative to its origin.
+        // The near scene has the coordinates that the far scene has relative to its local origin.
         let near = folder.path().join(format!("near-{index}"));
         scene(&near, alpha, by - DVec3::from(origin.numbers()));
         let (near_views, none, near_config) = planned(&near);
@@ -142,7 +142,7 @@ fn a_scene_far_away_is_seen_planned_and_learned_as_a_near_one() {
     }
 }
 
-/// The camera positions in a file.
+/// Returns the camera positions in a file.
 fn places(path: &Path) -> Vec<DVec3> {
     let file: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
     let at = |frame: &Value, axis: usize| frame["transform_matrix"][axis][3].as_f64().unwrap();
@@ -154,7 +154,7 @@ fn places(path: &Path) -> Vec<DVec3> {
         .collect()
 }
 
-/// The first vertex of a mesh file, as the file states it, and the file's head.
+/// Returns the first vertex of a mesh file, in the coordinates that the file states, and the beginning of the file.
 fn vertex(path: &Path) -> (DVec3, String) {
     let bytes = fs::read(path).unwrap();
     let head = String::from_utf8_lossy(&bytes[..2000.min(bytes.len())]).into_owned();
@@ -222,7 +222,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     assert_eq!(stated.len(), kept.len());
     assert!(stated.iter().zip(&kept).all(|(a, b)| (*a - *b).length() < 2e-9), "{kept:?}");
 
-    // Poses in the photographs' coordinates render the picture of the photograph's own camera.
+    // A pose in the photographs' coordinates renders the same picture as the photograph's own camera.
     let render = |more: &[&str]| done(&run(here, &[&["render", "far-run"], more].concat()));
     render(&["--views", "1", "--out", "views"]);
     let size = ["--width", "32", "--height", "32"];
@@ -245,7 +245,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     assert!((places(&here.join("looking/cameras.json"))[0] - DVec3::new(x + 4.0, y, z)).length() < 2e-9);
     assert!(picture("looking/look_at_color.png").iter().any(|&byte| byte < 250), "it looks at nothing");
 
-    // Meshes too, in every format; `--local` writes coordinates that fit in 32 bits, and their offset.
+    // Meshes have these coordinates too, in every format. `--local` writes coordinates that fit in 32 bits, and their offset.
     let mesh = |out: &str, more: &[&str]| {
         let arguments = ["export", "mesh", "far-run", "--out", out, "--resolution", "24", "--level", "0.01"];
         run(here, &[&arguments, more].concat())
@@ -266,7 +266,7 @@ fn what_leaves_the_program_has_the_coordinates_of_the_photographs() {
     assert!(cropped.out.contains(&format!("crop: {crop}")), "{}", cropped.out);
     assert!((vertex(&here.join("cropped.ply")).0 - by).length() < 1.3);
 
-    // Crops of pages have these coordinates; views of pages are relative to the origin.
+    // The crops of pages have the photographs' coordinates; the views of pages are relative to the local origin.
     let shown = Shown::start_with(here, "far-run", &["--crop", &crop]);
     let told = shown.get(&format!("/{}/scene.json", shown.token), &[]).1;
     assert_eq!(serde_json::from_slice::<Value>(&told).unwrap()["crop"], crop);

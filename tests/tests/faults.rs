@@ -1,4 +1,4 @@
-//! Failing disks: full, read-only, or with missing data. The program reports the failure in one line and keeps its
+//! Checks of failing disks: full, read-only, or with missing data. The program reports the failure in one line and keeps its
 //! results. Once the disk works again, the same command ends as if nothing had failed.
 
 use std::{
@@ -12,8 +12,8 @@ use trimip_tests::{
     whole::{Whole, is_sound},
 };
 
-/// Runs a shell script in its own mount namespace, with the program as `$0` and `arguments` as `$@`; the mounts end with
-/// the script. Where this is not allowed, prints a line and returns `None`.
+/// Runs a shell script in its own mount namespace, with the program as `$0` and `arguments` as `$@`; the mounts end with the
+/// script. If the system does not allow that, prints a line and returns `None`.
 fn mounted(here: &Path, script: &str, arguments: &[&str]) -> Option<Answer> {
     let shell = |script: &str, arguments: &[&str]| {
         let mut shell = Command::new("unshare");
@@ -30,14 +30,14 @@ fn mounted(here: &Path, script: &str, arguments: &[&str]) -> Option<Answer> {
     Some(Answer { code: output.status.code(), out: text(output.stdout), err: text(output.stderr) })
 }
 
-/// The built-in scene in `scene`, and the arguments that train on it.
+/// Writes the built-in scene to `scene`; returns the arguments that train on it.
 fn scene(here: &Path) -> Vec<&'static str> {
     let answer = run(here, &[&["data", "builtin", "scene"][..], &tiny()].concat());
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     tiny_and(&["--out", "run", "--set", "data.format=auto", "--set", "data.root=scene"])
 }
 
-/// Total size of the files of a folder, bytes.
+/// Returns the total size of the files in a folder, in bytes.
 fn size(folder: &Path) -> usize {
     files(folder).values().map(Vec::len).sum()
 }
@@ -51,7 +51,7 @@ fn a_disk_that_is_full_anywhere_costs_nothing_once_it_has_room() {
     assert_eq!(run(here, &arguments("whole")).code, Some(0));
     let whole = Whole::of(&here.join("whole"));
     fs::create_dir(here.join("disk")).unwrap();
-    // Room for the files and for the `.tmp` files that are written before a rename.
+    // Number of 4 KiB blocks for the files, and for the `.tmp` files that are written before a rename.
     let needed = size(&here.join("whole")) * 3 / 2 / 4096;
     let mut failed = 0;
     for twentieth in 1..=20 {
@@ -131,7 +131,7 @@ fn data_that_vanish_cost_neither_steps_nor_points() {
         ("scene", |scene| fs::remove_dir_all(scene).unwrap(), 2),
     ];
     for (named, breaking, code) in breaks {
-        // Before the first point of the curve, and before the last.
+        // The data vanish before the first point of the curve, or before the last.
         for first in [&arguments, &stop] {
             fs::remove_dir_all(here.join("run")).unwrap();
             if first.len() > arguments.len() {

@@ -1,4 +1,5 @@
-//! The first hour of a user as a script of commands with checked answers: a folder of photographs, default settings.
+//! The first hour of a user, as a script of commands whose answers are checked: a folder of photographs, default
+//! settings.
 
 use serde_json::Value;
 use std::{fs, path::Path, time::Instant};
@@ -21,7 +22,7 @@ fn done(answer: &Answer) {
     assert_eq!(answer.code, Some(0), "{answer:?}");
 }
 
-/// Asserts that the program refuses with exit code 2, in one line that contains each of `parts`.
+/// Asserts exit code 2 and an error message of one line that contains each of `parts`.
 fn refused(answer: &Answer, parts: &[&str]) {
     assert_eq!(answer.code, Some(2), "{answer:?}");
     assert_eq!(answer.err.trim_end().lines().count(), 1, "{}", answer.err);
@@ -82,7 +83,8 @@ fn a_folder_is_all_that_a_user_types() {
     refused(&run(folder, &["outer"]), &["outer/scene"]);
     fs::rename(folder.join("outer/scene"), folder.join("scene")).unwrap();
 
-    // 7.998 seconds of training: wall time, pictures, and a model that learned.
+    // A run of 7.998 seconds of training stays within a limit of wall time, writes its files, and its model has
+    // learned.
     let started = Instant::now();
     let answer = run(folder, &["scene/transforms_train.json", "--minutes", "0.1333"]);
     done(&answer);
@@ -102,7 +104,8 @@ fn a_folder_is_all_that_a_user_types() {
         assert!(answer.out.contains(&format!("plan.{decision}: ")), "{decision}");
     }
 
-    // The same command again finds the run finished; another duration lists the options; a longer one continues.
+    // The same command finds the run finished. Another duration is refused with a list of options. `--continue-for`
+    // extends the run.
     let again = run(folder, &["scene", "--minutes", "0.1333"]);
     done(&again);
     assert!(again.out.contains("finished") && again.out.contains("--fresh"), "{}", again.out);
@@ -153,14 +156,14 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
         let path = entry.unwrap().path();
         image::open(&path).unwrap().to_rgb8().save(&path).unwrap();
     }
-    // A budget of steps, not seconds: the result does not depend on the load of the machine.
+    // The budget is in steps, not seconds, so the result does not depend on the load of the machine.
     let steps = ["--set", "train.steps=150", "--set", "train.samples_per_step=16384"];
     let answer = run(folder, &[&["scene"], &steps[..]].concat());
     done(&answer);
     let first = report(&folder.join("runs/scene"));
     let constant = first["mean"]["psnr_constant"].as_f64().unwrap();
     assert!(psnr(&first) > constant + 2.0, "{} where a mean colour has {constant}", psnr(&first));
-    // Transparent pixels are black now. The plan takes them for a plain background and bounds the scene.
+    // Without alpha, transparent pixels are black. The plan takes them for a plain background and bounds the scene.
     for part in [
         "no alpha",
         "plan.background: set: the borders of all photographs have one colour",
@@ -170,7 +173,7 @@ fn photographs_without_alpha_find_their_box_and_say_what_is_behind_it() {
     }
     let bounded = ["--set", "loss.opacity=0.1", "--set", "scene.contraction=none"];
     refused(&run(folder, &[&["scene", "--out", "b"][..], &bounded].concat()), &["loss.opacity", "alpha"]);
-    // A box that misses the scene gives a warning in advance, and nothing is learned in it.
+    // If the box misses the scene, the program warns before the training, and the model learns nothing.
     let beside = ["scene.aabb_min=[50.0,50.0,50.0]", "scene.aabb_max=[51.0,51.0,51.0]"];
     let mut arguments = vec!["scene", "--out", "beside", "--minutes", "0.1"];
     beside.iter().for_each(|set| arguments.extend(["--set", set]));
@@ -188,7 +191,7 @@ fn a_model_that_shows_nothing_is_not_finished() {
     let temporary = tempfile::tempdir().unwrap();
     let folder = temporary.path();
     scene(folder);
-    // Within the visual hull even fog has a silhouette.
+    // The visual hull is off, because within a hull even fog has a silhouette.
     let hull = ["--set", "plan.hull=off"];
     let arguments = ["scene", "--set", "train.steps=2", "--set", "optimizer.learning_rate=1e-9"];
     let arguments = [&arguments[..], &hull[..]].concat();

@@ -1,5 +1,5 @@
-//! Arbitrary bytes: every reader passes its checks for random changes of valid files ([`trimip_tests::formats`]).
-//! `TRIMIP_FUZZ_CASES` is the number of changes of each format, `TRIMIP_FUZZ_SEED` selects other changes.
+//! Checks that every reader copes with random changes of valid files ([`trimip_tests::formats`]). `TRIMIP_FUZZ_CASES`
+//! is the number of changes of each format, and `TRIMIP_FUZZ_SEED` selects other changes.
 
 use trimip_data::in_memory::camera_files;
 use trimip_tests::formats::{Format, memory::Counting};
@@ -11,14 +11,14 @@ fn stated(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).ok().and_then(|value| value.parse().ok()).unwrap_or(otherwise)
 }
 
-/// Tries `TRIMIP_FUZZ_CASES` changes, or by default `otherwise`, which takes about a second.
+/// Tries `TRIMIP_FUZZ_CASES` changes; by default `otherwise` changes, which take about a second.
 fn keeps_its_laws(name: &str, otherwise: u64) {
     let cases = stated("TRIMIP_FUZZ_CASES", otherwise);
     let valid = Format::of(name).try_changes(stated("TRIMIP_FUZZ_SEED", 1), cases);
     println!("{name}: {cases} executions, {valid} of them of valid files");
 }
 
-/// The files of all registered scene readers.
+/// Tries changes of the camera files of all registered scene readers.
 #[test]
 fn cameras_of_any_bytes() {
     camera_files().for_each(|file| keeps_its_laws(file.kind, 20_000));

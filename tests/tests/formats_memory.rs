@@ -1,5 +1,5 @@
-//! The memory of every reader for the shortest possible entries, which take the most memory per byte of file. Each reader
-//! stays within the multiple that its format states ([`trimip_tests::formats`]); `--nocapture` prints the measured values.
+//! Measures the memory of every reader for the shortest possible entries, which need the most memory per byte of file. Each
+//! reader stays within the multiple that its format states ([`trimip_tests::formats`]); `--nocapture` prints the measured values.
 
 use std::{collections::HashMap, fmt::Write};
 use trimip_data::colmap::{Encoding, File, Model};
@@ -11,10 +11,10 @@ use trimip_tests::formats::{
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Bytes of each file.
+/// Size of each file in bytes.
 const SIZE: usize = 100_000;
 
-/// Repeats `unit`, with a number for `#`, up to `SIZE` bytes.
+/// Returns `head`, then `unit` repeated up to `SIZE` bytes, with a number in place of `#`, then `tail`.
 fn many(head: &str, unit: &str, tail: &str) -> Vec<u8> {
     let mut text = head.to_string();
     let mut number = 0_u32;
@@ -28,19 +28,19 @@ fn many(head: &str, unit: &str, tail: &str) -> Vec<u8> {
     (text.trim_end_matches(',').to_string() + tail).into_bytes()
 }
 
-/// A safetensors file with that header.
+/// Returns a safetensors file with the given header.
 fn with_header(header: Vec<u8>) -> Vec<u8> {
     [&(header.len() as u64).to_le_bytes()[..], &header].concat()
 }
 
-/// A safetensors file with that metadata.
+/// Returns a safetensors file with the given metadata.
 fn with_metadata(format: &str, config: &str) -> Vec<u8> {
     let own: HashMap<&str, &str> = [("format", format), ("config", config), ("state", "{}")].into();
     let own = serde_json::to_string(&own).expect("texts are JSON");
     with_header(serde_json::json!({ "__metadata__": { "trimip": own } }).to_string().into_bytes())
 }
 
-/// A zip archive whose entries have the shortest distinct names and share one file.
+/// Returns a zip archive whose entries have the shortest distinct names and share one file.
 fn short_archive() -> Vec<u8> {
     let local = [&b"PK\x03\x04"[..], &[0; 26]].concat();
     let names = (0..SIZE / 50).map(|number| format!("{number:x}"));
@@ -158,7 +158,7 @@ fn the_shortest_entries_stay_within_what_each_format_states() {
         "lines".into(),
         many("#name,x,y,alt,heading,pitch,roll,f\n", "a,0,0,0,0,0,0,1\n", ""),
     ));
-    // Files of numbers between blanks: empty lines, lines of one number, one long line, lines of seven numbers.
+    // Files of numbers that blanks separate: empty lines, lines of one number, one long line, lines of seven numbers.
     for name in
         ["nsvf-pose", "nsvf-intrinsics", "arkitscenes-trajectory", "arkitscenes-intrinsics", "bundler"]
     {
@@ -206,7 +206,7 @@ fn the_shortest_entries_of_models_take_twice_their_bytes_in_binary_files_and_six
     };
     let files = sparse.binary();
     let binary = parsed(Encoding::Binary, files.each_ref().map(Vec::as_slice));
-    // Each file without the others.
+    // Each file is measured without the entries of the other two.
     let one = Sparse { cameras: sparse.cameras[..1].to_vec(), ..Sparse::default() }.binary();
     let cameras = parsed(Encoding::Binary, [&files[0], &one[1], &one[2]]);
     let images = parsed(Encoding::Binary, [&one[0], &files[1], &one[2]]);
@@ -226,7 +226,7 @@ fn the_shortest_entries_of_models_take_twice_their_bytes_in_binary_files_and_six
     assert!([cameras, images, points].iter().all(|times| *times <= 6.0));
 }
 
-/// Files as COLMAP writes them, of a capture that is not part of this repository.
+/// Reads files that COLMAP wrote for a capture, which is not part of this repository.
 #[test]
 fn a_real_model_takes_less_than_twice_the_size_of_its_files() {
     let root = std::env::var_os("TRIMIP_SHARED")

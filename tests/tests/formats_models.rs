@@ -1,5 +1,5 @@
-//! Models and checkpoints whose configuration, state and tensors contradict each other are refused by the reader, with the
-//! file's name, before anything is allocated for them.
+//! The reader refuses models and checkpoints whose configuration, state and tensors contradict each other. It names the file, and
+//! it refuses before it allocates anything for them.
 
 use trimip_core::{engine::checkpoint::Checkpoint, field::model::Model};
 use trimip_tests::formats::{Format, memory::Counting};
@@ -7,7 +7,7 @@ use trimip_tests::formats::{Format, memory::Counting};
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Bytes that `write` puts into a file.
+/// Returns the bytes that `write` writes to a file.
 fn written(write: impl FnOnce(&std::path::Path) -> trimip_core::Result<u64>) -> Vec<u8> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("file");
@@ -23,7 +23,7 @@ fn checkpoint() -> Checkpoint {
     Checkpoint::from_bytes("valid", &Format::of("checkpoint").valid()[0]).unwrap()
 }
 
-/// Asserts a refusal within the format's memory limit, with these words.
+/// Asserts that the reader refuses `bytes` within the format's memory limit, with an error that contains `parts`.
 fn refused(format: &str, bytes: &[u8], parts: &[&str]) {
     assert!(!Format::of(format).check(bytes), "{parts:?}");
     let read = match format {
@@ -39,7 +39,7 @@ fn refused(format: &str, bytes: &[u8], parts: &[&str]) {
 
 #[test]
 fn a_model_without_the_tensors_of_its_configuration_is_refused() {
-    // A few kilobytes that ask for 3 GB of planes, and for a grid of 2^30 cells.
+    // The files have a few kilobytes, but their settings imply 3 GB of planes, a grid of 2^30 cells, or wide layers.
     for (setting, parts) in [
         ("encoder.plane_size=4096", ["`planes`", "4096"]),
         ("occupancy.resolution=1024", ["`occupancy`", "134217728"]),

@@ -1,5 +1,5 @@
-//! The suite for every backend, on the GPU, with every method of adding texel gradients. Tests across backends are in
-//! `gpu_and_cpu.rs`.
+//! Runs the suite for every backend on the GPU, gradients and updates with every method of adding texel gradients.
+//! Tests that compare backends are in `gpu_and_cpu.rs`.
 
 use trimip_core::{Backend, Layout, Result, Viewer, config::Precision, engine::trainer::Trainer};
 use trimip_tests::{
@@ -111,8 +111,8 @@ fn numbers_beyond_f16_are_counted_and_the_run_goes_on_in_f32() {
         let mut trainer = Trainer::new(make(), &config, fixtures::noise(2, 16, 1, 6))?;
         suite::training::steps(&mut trainer, &config, 6)?;
         assert!(trainer.notes().is_empty(), "{:?}", trainer.notes());
-        // Weights of the colour network's first layer that give hidden units of a million, and small weights after
-        // them.
+        // With these weights, the first layer of the colour network has hidden units of a million; the weights of the
+        // next layers are small.
         let mut values = trainer.parameters();
         for slot in &Layout::new(&config).slots {
             match slot.name.as_str() {
@@ -300,7 +300,7 @@ fn a_run_that_ends_early_is_its_model() {
 #[test]
 fn a_resumed_run_is_the_run_that_never_stopped() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    // In f32 the device chooses the order of additions, and so the last bits.
+    // With additions in f32 the device chooses their order, and thus the last bits.
     reproducibly(|make| suite::training::resume(make, &folder.path().join("checkpoint")));
 }
 

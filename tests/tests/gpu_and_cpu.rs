@@ -1,4 +1,5 @@
-//! The GPU against the CPU: transfers, models and runs that change the backend, and the state after a device loss.
+//! Compares the GPU with the CPU: transfers, models and runs that change the backend, and the state after a device
+//! loss.
 
 use std::sync::atomic::AtomicBool;
 use trimip_core::{
@@ -61,12 +62,12 @@ fn gains_of_photographs_cost_no_wait_and_are_the_same_on_both_backends() {
         for (found, expected) in found.as_flattened().iter().zip(gradient.as_flattened()) {
             assert!((found - expected).abs() < 1e-5, "{found}, not {expected}");
         }
-        // Later batches differ: their sizes follow sums that a GPU reports later.
+        // Later batches differ, because their sizes follow sums that a GPU reports later.
         for step in 0..3 {
             on_gpu.step(f64::from(step) / config.train.steps as f64)?;
             on_cpu.step(f64::from(step) / config.train.steps as f64)?;
             let (found, expected) = (on_gpu.log_gains(), on_cpu.log_gains());
-            // The first gradient has moved the gains after the third step, on both.
+            // On both backends, the first gradient moves the gains in the third step.
             assert_eq!(expected.as_flattened().iter().any(|&e| e != 0.0), step == 2, "step {step}");
             for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
                 assert!((found - expected).abs() < 1e-3, "step {step}: {found}, not {expected}");
@@ -85,7 +86,8 @@ fn gains_of_photographs_cost_no_wait_and_are_the_same_on_both_backends() {
     });
 }
 
-/// Derivatives with respect to the poses and the intrinsics of cameras, for a batch that both backends draw alike.
+/// Both backends compute the same derivatives with respect to the poses and the intrinsics of cameras, for a batch that
+/// they draw alike.
 #[test]
 fn derivatives_by_cameras_are_the_same_on_both_backends() {
     reproducibly(|make| {
@@ -111,7 +113,7 @@ fn derivatives_by_cameras_are_the_same_on_both_backends() {
     });
 }
 
-/// Asserts that numbers differ by less than a hundredth of the largest.
+/// Asserts that numbers differ by less than a hundredth of the largest one.
 fn alike(found: &[f64], expected: &[f64]) {
     let largest = expected.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
     assert!(largest > 0.0 && found.len() == expected.len(), "{expected:?}");
@@ -120,7 +122,7 @@ fn alike(found: &[f64], expected: &[f64]) {
     }
 }
 
-/// Root-mean-square difference of two pictures.
+/// Returns the root-mean-square difference of two pictures.
 fn difference(a: &trimip_core::Frame, b: &trimip_core::Frame) -> f64 {
     let squares = a.pixels.iter().zip(&b.pixels).flat_map(|(a, b)| [0, 1, 2].map(|c| a.rgb[c] - b.rgb[c]));
     let sum: f64 = squares.map(|d| f64::from(d) * f64::from(d)).sum();
@@ -146,7 +148,7 @@ fn models_are_the_same_pictures_on_both_backends() {
                 LoadedModel::new(cpu(), model)?.render(&camera)?,
                 LoadedModel::new(make(), model)?.render(&camera)?,
             ];
-            // 90 dB: a sample at the border of an occupied cell may fall on either side.
+            // The bound is 90 dB, because a sample at the border of an occupied cell may fall on either side.
             for picture in [&on_cpu, &on_gpu] {
                 let error = difference(picture, own);
                 assert!(error < 3e-5, "{name}: pictures differ by {error}");
@@ -180,8 +182,8 @@ fn every_term_of_the_loss_is_the_same_on_both_backends() {
     });
 }
 
-/// Trains and renders through lenses. One has no rays for the corners of its images: they show the background, and
-/// nothing is learned from them.
+/// Both backends train and render alike through lenses. The last lens has no rays for the corners of its images: the
+/// corners show the background, and nothing is learned from them.
 #[test]
 fn lenses_are_the_same_on_both_backends() {
     reproducibly(|make| {
@@ -280,7 +282,7 @@ fn a_run_goes_on_on_the_other_backend_as_on_its_own() {
             assert!(values(&taken, suffix)? == values(&checkpoint, suffix)?, "`{suffix}` is taken over");
         }
         assert_eq!(taken.state, checkpoint.state);
-        // The next step uses the same rays and samples.
+        // The next step uses the same rays and samples on both backends.
         let rays = checkpoint.state.rays_per_step;
         let ((own_sums, own), (sums, other)) =
             (began.loss_and_gradient(20, rays)?, changed.loss_and_gradient(20, rays)?);
@@ -303,15 +305,15 @@ fn a_run_goes_on_on_the_other_backend_as_on_its_own() {
         let [own, other] = [began.checkpoint()?.state.totals, changed.checkpoint()?.state.totals];
         assert_eq!((own.step, other.step), (24, 24));
         let (own, other) = (began.render(&camera)?, changed.render(&camera)?);
-        // AdamW moves a parameter by its learning rate however small the gradient is. Where the gradient is only
-        // rounding, backends diverge.
+        // AdamW moves a parameter by its learning rate, however small the gradient is. Parameters whose gradient is
+        // only rounding error therefore diverge between the backends.
         let (moved, apart) = (difference(&own, &before), difference(&own, &other));
         assert!(apart < 0.4 * moved, "the picture moves by {moved}, backends differ by {apart}");
         Ok(())
     });
 }
 
-/// All tensors of a run of `steps` steps.
+/// Takes `steps` steps; returns the checkpoint.
 fn tensors(
     trainer: &mut Trainer<impl trimip_core::Backend>,
     config: &Config,
@@ -343,7 +345,7 @@ fn memory_is_predicted_within_a_tenth() {
     for (hidden, plane_size, samples, drawn) in
         [(64, 64, 2048, 1.0), (32, 256, 1024, 1.0), (64, 64, 2048, 0.5)]
     {
-        // A new device for each case, because a device counts the most memory that it has ever held.
+        // Each case has a new device, because a device reports the most memory that it has ever held.
         with(&ADDITIONS[..2], |make| {
             let mut config = suite::training::configuration();
             config.train.backward_fraction = Schedule::new(vec![[0.0, drawn]]);
@@ -369,7 +371,7 @@ fn memory_is_predicted_within_a_tenth() {
     }
 }
 
-/// Records the steps of the checkpoints, and destroys the device at the second one.
+/// A store that records the steps of the checkpoints, and destroys the device at the second one.
 struct Shelf<'a> {
     kept: Vec<u64>,
     lose: &'a dyn Fn(),
@@ -437,7 +439,7 @@ fn a_lost_device_is_named_and_the_last_checkpoint_stays() {
     });
 }
 
-/// The built-in scene at a small size.
+/// Returns the configuration of the built-in scene at a small size.
 fn builtin() -> Config {
     let mut config = fixtures::as_code();
     let read = config.change(|data: &mut DataConfig| {
@@ -456,7 +458,7 @@ fn builtin() -> Config {
     config
 }
 
-/// Mean PSNR on the held-out views of the built-in scene.
+/// Returns the mean PSNR on the held-out views of the built-in scene.
 fn held_out(session: &mut dyn Viewer, config: &Config) -> Result<f64> {
     let scene = trimip_data::open(&config.section()?)?;
     let views = evaluate(session, scene.test.as_ref(), 1, &config.data, |_| Ok(true))?;
@@ -468,7 +470,8 @@ fn both_backends_learn_the_built_in_scene_alike() {
     reproducibly(|make| {
         let config = builtin();
         let train = || Ok::<_, Error>(trimip_data::open(&config.section()?)?.train);
-        // Runs of two seeds from scratch differ by more than a tenth of a decibel; from a common start they must not.
+        // Runs of two seeds from scratch differ by more than a tenth of a decibel, so the comparison starts from a
+        // common checkpoint.
         let mut on_cpu = Trainer::new(cpu(), &config, train()?)?;
         suite::training::steps(&mut on_cpu, &config, 90)?;
         let (start, before) = (on_cpu.checkpoint()?, held_out(&mut on_cpu, &config)?);

@@ -1,4 +1,4 @@
-//! Hybrid rendering: pictures rendered with the proxy of a model match those of volume rendering.
+//! Checks of hybrid rendering: pictures rendered with the proxy of a model match those of volume rendering.
 
 use glam::DVec3;
 use std::fs;
@@ -16,7 +16,7 @@ use trimip_tests::{
     suite::hybrid::{bits, camera, fog, model, picture, pictures},
 };
 
-/// A trained model, shared by the tests.
+/// Returns a trained model, which the tests share.
 fn trained() -> &'static Model {
     static MODEL: OnceLock<Model> = OnceLock::new();
     MODEL.get_or_init(|| model(backend(2)))
@@ -64,7 +64,7 @@ fn backends_show_the_same_picture() {
         {
             let mut model = trained().clone();
             (model.config.hybrid.widest, model.config.hybrid.rule) = (widest, rule);
-            // The surfaces of so short a training are soft.
+            // After so short a training, surfaces are soft.
             (model.config.hybrid.delta, model.config.hybrid.samples) = (24.0, 48);
             model.config.hybrid.surface = 0.02;
             let far = camera(32, DVec3::new(3.0, -2.0, 2.0));

@@ -1,4 +1,4 @@
-//! `data inspect` by the real binary: its lines, its page, and its warnings about scenes that were spoiled on disk.
+//! Checks of `data inspect`: its lines, its page, and its warnings about scenes with wrong poses or a wrong box.
 
 use serde_json::Value;
 use std::{fs, path::Path};
@@ -32,7 +32,7 @@ fn spoil(folder: &Path, change: impl Fn(&mut Vec<Value>)) {
     fs::write(path, file.to_string()).unwrap();
 }
 
-/// The warnings of an inspection.
+/// Returns the warnings of an inspection.
 fn warnings(folder: &Path, more: &[&str]) -> Vec<String> {
     let answer = run(folder, &[&["data", "inspect", "scene"], more].concat());
     done(&answer);
@@ -47,7 +47,7 @@ fn a_page_is_one_file_and_the_lines_stay() {
     let plain = run(folder, &["data", "inspect", "scene"]);
     done(&plain);
     assert!(!plain.out.contains("warning"), "{}", plain.out);
-    // A file of the scene is accepted like its folder, as by the verbs that train and plan.
+    // A file of the scene is accepted in place of its folder, as in the verbs that train and plan.
     let by_file = run(folder, &["data", "inspect", "scene/transforms_train.json"]);
     done(&by_file);
     assert_eq!(by_file.out, plain.out);
@@ -65,7 +65,7 @@ fn a_page_is_one_file_and_the_lines_stay() {
         assert!(page.contains(part), "{part}");
     }
     assert_eq!(fs::read_dir(folder.join("pages")).unwrap().count(), 1);
-    // A folder is no page, whatever its name.
+    // A page cannot replace a folder, whatever the folder's name.
     fs::create_dir(folder.join("folder.html")).unwrap();
     for name in ["pages", "folder.html"] {
         let refused = run(folder, &["data", "inspect", "scene", "--html", name]);
@@ -84,15 +84,15 @@ fn spoiled_scenes_are_told() {
     let cut = warnings(folder, &small);
     assert!(of(&cut, "the box covers only") && of(&cut, "box around the object"), "{cut:?}");
     assert_eq!(cut.len(), 2, "the plan's and the check's: {cut:?}");
-    // Poses in another order. A cyclic shift would only turn the spiral of the cameras. A step of 7 is its own inverse,
-    // because 7·7 = 49 = 2·24 + 1.
+    // Puts the poses in another order. A cyclic shift would only turn the spiral of the cameras, so the order has steps
+    // of 7. Applied twice, it restores the poses, because 7·7 = 49 = 2·24 + 1.
     let shuffle = |poses: &mut Vec<Value>| *poses = (0..24).map(|i| poses[7 * i % 24].clone()).collect();
     spoil(folder, shuffle);
     let shuffled = warnings(folder, &[]);
     assert!(of(&shuffled, "silhouettes and poses"), "{shuffled:?}");
     spoil(folder, shuffle);
     assert!(warnings(folder, &[]).is_empty());
-    // Poses with OpenCV's axes.
+    // Gives the poses OpenCV's axes.
     spoil(folder, |poses| {
         for pose in poses.iter_mut() {
             for row in pose.as_array_mut().unwrap().iter_mut().take(3) {

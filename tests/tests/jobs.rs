@@ -1,4 +1,4 @@
-//! Jobs that rank 0 hands out, on ranks that are threads.
+//! Checks of jobs that rank 0 distributes, on ranks that are threads.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -32,7 +32,7 @@ fn with_others(
     })
 }
 
-/// True if `taken` is the jobs with their squares, in order.
+/// Returns true if `taken` holds the jobs with their squares, in order.
 fn squares(jobs: &[usize], taken: &[(usize, usize)]) -> bool {
     jobs.iter().map(|job| (*job, job * job)).eq(taken.iter().copied())
 }
@@ -42,7 +42,7 @@ fn results_come_in_the_order_of_the_jobs() {
     for (count, jobs) in [(2, 0..40), (3, 5..9), (4, 0..1), (5, 0..0)] {
         let jobs: Vec<usize> = jobs.rev().collect();
         let mut taken = Vec::new();
-        // In each group of four, later jobs are quicker.
+        // In each group of four jobs, later ones are quicker.
         let own = |job: usize| {
             std::thread::sleep(Duration::from_millis(job as u64 % 4));
             Ok(job * job)

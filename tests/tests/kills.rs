@@ -3,8 +3,8 @@
 //! The remaining files have to be whole, and the same command has to end with the bits, the curve and the files of an
 //! uninterrupted run.
 //!
-//! This is a test and no script, because it builds the program, reads its files and names any difference. It tries a
-//! dozen moments on the CPU; `TRIMIP_KILLS=100` tries a hundred on each backend and prints the stages that they met:
+//! This is a test instead of a script, because it builds the program, reads its files and names any difference. It tries a dozen
+//! moments on the CPU; `TRIMIP_KILLS=100` tries a hundred on each backend and prints the stages in which the runs were killed:
 //!
 //!     TRIMIP_KILLS=100 cargo test -p trimip-tests --test program kills -- --nocapture
 
@@ -21,7 +21,7 @@ use trimip_tests::{
     whole::{Whole, is_sound},
 };
 
-/// Number of moments without `TRIMIP_KILLS`.
+/// Number of moments if `TRIMIP_KILLS` is not set.
 const FEW: usize = 12;
 
 /// The stages of a run, named by the event before each; no event precedes the first.
@@ -31,7 +31,7 @@ const STAGES: [&str; 6] = ["", "step", "checkpoint", "evaluation_progress", "fin
 struct Random(u64);
 
 impl Random {
-    /// A number below `bound`.
+    /// Returns a number below `bound`.
     fn below(&mut self, bound: u64) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut mixed = self.0;
@@ -41,14 +41,14 @@ impl Random {
     }
 }
 
-/// The command of every run: a checkpoint after almost every step, an event after each.
+/// Returns the arguments of every run: a checkpoint after almost every step, an event after each.
 fn arguments(backend: &'static str) -> Vec<&'static str> {
     let more =
         ["--out", "run", "--progress", "json", "--set", backend, "--set", "train.checkpoint_seconds=0.001"];
     tiny_and(&[&more[..], &["--set", "train.log_seconds=0.000001", "--set", "eval.points=4"]].concat())
 }
 
-/// Ends the process with SIGKILL, as the system does when memory is short, or gently with SIGTERM, so that it can save
+/// Ends the process with SIGKILL, as the system does when memory is short, or `gently` with SIGTERM, so that the program can save
 /// first.
 fn end(child: &mut Child, gently: bool) {
     if gently && cfg!(unix) {
@@ -61,8 +61,8 @@ fn end(child: &mut Child, gently: bool) {
     }
 }
 
-/// Starts the command and ends it somewhere after the `count`-th event of a stage. Returns the stage that it reached, or
-/// `ended` if it was faster.
+/// Starts the command and ends it at a random moment after a random event of a stage. Returns the stage, or `ended` if the run
+/// ended before that.
 fn interrupt(
     here: &Path,
     arguments: &[&str],
@@ -75,7 +75,7 @@ fn interrupt(
         .stderr(Stdio::null())
         .spawn()
         .expect("the program starts");
-    // A lower bound of how often a run emits the event.
+    // Every bound is at most the number of such events in a run.
     let count = random.below(match stage {
         "step" => 20,
         "checkpoint" | "evaluation_progress" => 3,
@@ -110,7 +110,7 @@ fn survives(backend: &'static str, moments: usize) {
     let whole = Whole::of(&undisturbed.join("run"));
     let mut met: BTreeMap<&str, usize> = BTreeMap::new();
     let (mut half, mut trial) = (0, 0);
-    // A run that was faster than its signal was not killed.
+    // A run that ended before its signal was not killed.
     while met.iter().filter(|(stage, _)| **stage != "ended").map(|(_, count)| count).sum::<usize>() < moments
     {
         let mut random = Random(trial);

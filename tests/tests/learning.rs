@@ -1,4 +1,4 @@
-//! Training on the built-in scene: held-out views are rendered better than any constant colour.
+//! Checks that a model trained on the built-in scene renders held-out views better than any constant colour.
 
 use trimip_core::{
     Config, Session, engine::trainer::Trainer, measures::metrics::psnr, run::evaluate::evaluate,
@@ -7,7 +7,7 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 use trimip_tests::fixtures::as_code;
 
-/// Minimum gain in dB over the best constant colour, the mean of the held-out image itself.
+/// Minimum gain in dB over the best constant colour, which is the mean of the held-out image itself.
 const MARGIN: f64 = 6.0;
 
 /// Number of training steps.
@@ -31,7 +31,7 @@ fn configuration() -> Config {
     config
 }
 
-/// Mean PSNR on the held-out views, and that of the best constant colour of each view.
+/// Returns the mean PSNR on the held-out views, and that of the best constant colour of each view.
 fn held_out(config: &Config) -> (f64, f64) {
     let scene = trimip_data::open(&config.section().unwrap()).unwrap();
     let mut trainer = Trainer::new(CpuBackend::new(2, Simd::detect()).unwrap(), config, scene.train).unwrap();

@@ -1,5 +1,5 @@
-//! Limits of numbers and memory: every setting at its edges, files with false numbers, and a system that grants no more memory.
-//! The program answers in one line, and takes no more memory than the test states.
+//! Checks of the limits of numbers and memory: every setting at its edges, files with false numbers, and a system that grants no
+//! more memory. The program reports an error in one line, and takes no more memory than the test states.
 
 use image::{GrayImage, Luma};
 use serde_json::{Value, json};
@@ -27,10 +27,10 @@ const EDGES: [&str; 12] = [
     "{ a = 1 }",
 ];
 
-/// Most memory of a tiny run, whatever its settings, bytes.
+/// Largest memory of a tiny run in bytes, whatever its settings.
 const MOST_OF_A_TINY_RUN: f64 = 400e6;
 
-/// The edge as a value of a setting: a single value, each number of a list, or the value of a schedule.
+/// Returns the edge as a value of a setting: a single value, each number of a list, or the value of a schedule.
 fn edge_of(setting: &DocumentedSetting, edge: &str) -> String {
     let numbers = setting.default.matches(',').count() + 1;
     match setting.default.as_bytes() {
@@ -41,7 +41,7 @@ fn edge_of(setting: &DocumentedSetting, edge: &str) -> String {
     }
 }
 
-/// The encoder that a section belongs to, at a tiny size.
+/// Returns the settings of the encoder that a section belongs to, at a tiny size.
 fn encoder_of(section: &str) -> &'static [&'static str] {
     match section {
         "hash_grid" => &["encoder.kind=hash-grid", "hash_grid.log2_entries=8", "hash_grid.levels=2"],
@@ -59,7 +59,7 @@ fn encoder_of(section: &str) -> &'static [&'static str] {
     }
 }
 
-/// Asserts one line of an error with exit code `codes`.
+/// Asserts an error message of one line, and one of the exit codes `codes`.
 fn one_line(answer: &Answer, codes: &[i32], what: &str) {
     assert!(answer.code.is_some_and(|code| codes.contains(&code)), "{what}: {answer:?}");
     assert!(
@@ -112,7 +112,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
             let answer = run(folder.path(), &[&["--out", "run", "--fresh"], &set[..]].concat());
             match answer.code {
                 Some(0) => {}
-                // For example an unknown backend.
+                // An accepted setting may fail later, for example an unknown backend.
                 _ => one_line(&answer, &[1, 2], &assignment),
             }
             if let Some(used) = peak(&folder.path().join("run")) {
@@ -123,7 +123,7 @@ fn every_setting_at_its_edges_is_refused_in_a_line_or_runs() {
     assert!(refused > 500 && ran > 20, "{refused} refused, {ran} ran");
 }
 
-/// The last event of a kind in a run.
+/// Returns the last event of a kind in a run.
 fn event(run: &Path, kind: &str) -> Option<Value> {
     let text = fs::read_to_string(run.join("metrics.jsonl")).ok()?;
     text.lines()
@@ -131,13 +131,13 @@ fn event(run: &Path, kind: &str) -> Option<Value> {
         .rfind(|event| event["kind"] == kind)
 }
 
-/// Peak memory of a run, bytes.
+/// Returns the peak memory of a run in bytes.
 fn peak(run: &Path) -> Option<f64> {
     event(run, "session_ended")?["peak_memory_bytes"].as_f64()
 }
 
-/// The plan predicts the memory of the finest marching step at the start of a run, when nothing is opaque yet: for rays that
-/// keep all their samples, and for rays whose samples merge.
+/// The plan predicts the memory that a run with the finest marching step needs at its start, when nothing is opaque yet: for rays
+/// that keep all their samples, and for rays whose samples merge.
 #[test]
 fn the_memory_of_long_rays_is_predicted() {
     for least in ["renderer.min_weight=0", "renderer.min_weight=0.01"] {
@@ -187,7 +187,7 @@ fn a_run_that_needs_more_memory_than_there_is_does_not_begin() {
     assert!(!folder.path().join("run/checkpoint.safetensors").exists());
 }
 
-/// A finished tiny run.
+/// Returns a folder with a finished tiny run.
 fn trained() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let answer = run(folder.path(), &tiny_and(&["--out", "run"]));
@@ -300,7 +300,7 @@ fn a_small_file_that_states_a_large_model_is_refused_before_it_takes_memory() {
             assert!(config.contains(size), "{config}");
             *config = config.replace(size, setting);
         });
-        // 1 GB of address space; with these sizes the model would take more than that.
+        // The address space is limited to 1 GB; a model of these sizes would take more.
         let answer = run_within(here, 1_000_000, &["eval", "run"]);
         one_line(&answer, &[2], setting);
         assert!(answer.err.contains("model.safetensors") && answer.err.contains("tensor"), "{}", answer.err);

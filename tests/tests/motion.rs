@@ -1,4 +1,5 @@
-//! Many views of a model: rendering continues where it was interrupted, and the pictures become a video.
+//! Checks of rendering many views of a model: rendering continues where it was interrupted, and the pictures become a
+//! video.
 
 use std::{fs, path::Path, process::Stdio, time::SystemTime};
 use trimip_data::settings::DataConfig;
@@ -65,7 +66,7 @@ fn only_what_is_missing_or_of_another_job_is_rendered() {
     assert_eq!([rendered(&[]), rendered(&[])], [4, 0]);
     fs::remove_file(here.join("run/renders/0002_color.png")).unwrap();
     assert_eq!([rendered(&[]), rendered(&["--fresh"])], [1, 4]);
-    // Another model, field of view or quantity is another job.
+    // Another model, field of view or quantity begins a new job, which renders all pictures.
     assert_eq!(rendered(&["--set", "renderer.min_transmittance=0.5"]), 4);
     assert_eq!([rendered(&["--fov", "50"]), rendered(&["--fov", "50"])], [4, 0]);
     assert_eq!(rendered(&["--fov", "50", "--what", "color,depth"]), 8);
@@ -151,7 +152,7 @@ fn a_video_that_cannot_be_made_is_refused_before_the_work() {
     assert!(!here.join("run/renders").exists());
 }
 
-/// A program in place of ffmpeg records its input.
+/// In place of ffmpeg, the test uses a program that records its input.
 #[cfg(unix)]
 #[test]
 fn the_encoder_gets_the_pictures_in_order_and_its_failure_leaves_nothing() {

@@ -1,4 +1,4 @@
-//! Foreign files: no verb replaces a file that the user would not expect it to replace.
+//! Checks that no verb replaces a file that the user does not expect it to replace.
 
 use std::{fs, path::Path};
 use trimip_tests::{
@@ -23,7 +23,7 @@ fn pictures_do_not_replace_those_of_others() {
         refuses(here, &["render", "run", "--what", "color,depth", "--out", "mine"], &[name, "--out"]);
         fs::remove_dir_all(out).unwrap();
     }
-    // Nor does it replace the cameras of a run's photographs, whose file has the same name.
+    // `render` does not replace the cameras of a run's photographs either, whose file has the same name.
     let cameras = fs::read(here.join("run/cameras.json")).unwrap();
     refuses(here, &["render", "run", "--out", "run"], &["cameras.json", "--out"]);
     assert_eq!(fs::read(here.join("run/cameras.json")).unwrap(), cameras);
@@ -52,13 +52,13 @@ fn a_written_set_replaces_nothing_and_one_that_was_stopped_is_made_again() {
     done(here, &builtin);
     let whole = files(here);
     refuses(here, &builtin, &["scene", "exists already"]);
-    // A foreign picture, in a folder without a data set.
+    // The folder contains a foreign picture, but no data set.
     fs::remove_file(here.join("scene/transforms_train.json")).unwrap();
     fs::write(here.join("scene/train/r_1.png"), "mine").unwrap();
     refuses(here, &builtin, &["train/r_1.png"]);
     fs::remove_file(here.join("scene/train/r_1.png")).unwrap();
-    // An interrupted set is completed, however far it came: the files that are written last are missing, and one is
-    // half written.
+    // An interrupted set is completed, however much of it was written: the files that are written last are missing, and
+    // one is half written.
     let order = ["test/r_1.png", "transforms_test.json", "transforms_train.json"];
     for missing in 0..order.len() {
         for name in order[missing..].iter().chain(&["transforms_train.json"]) {

@@ -1,5 +1,5 @@
-//! The pages of a run, a data set and a comparison in windows of every width. The tests that write the pages of `bench` and `paper`
-//! check those pages too.
+//! Checks of the pages of a run, a data set and a comparison, in windows of every width. The tests that write the pages of `bench` and
+//! `paper` check those pages too.
 
 use trimip_tests::binary::{run, tiny_and};
 use trimip_tests::pages::expect_fits;

@@ -1,5 +1,5 @@
-//! The verb `paper` on small scenes of files: every system in the page, means as computed here, a failing run that does not
-//! stop the others, and a killed job that continues to the same runs.
+//! Checks of the verb `paper` on small scenes: its page shows every system, the means match those computed here, a failing run
+//! does not stop the others, and a killed job continues to the same runs.
 
 use serde_json::Value;
 use std::{fs, path::Path, process::Stdio, time::Duration};
@@ -27,7 +27,7 @@ fn scenes(here: &Path) {
     }
 }
 
-/// The smallest models of every system, ten steps each.
+/// Settings that give every system its smallest model and ten steps.
 const SETTINGS: [&str; 21] = [
     "encoder.plane_size=16",
     "encoder.levels=3",
@@ -52,7 +52,7 @@ const SETTINGS: [&str; 21] = [
     "threads=2",
 ];
 
-/// `paper` with `more` arguments and [`SETTINGS`], without the settings that begin with one of `others`.
+/// Returns `paper`, the arguments `more` and [`SETTINGS`], without the settings that begin with one of `others`.
 fn arguments<'a>(others: &[&str], more: &[&'a str]) -> Vec<&'a str> {
     let own = SETTINGS.into_iter().filter(|setting| !others.iter().any(|other| setting.starts_with(other)));
     ["paper"].into_iter().chain(more.iter().copied()).chain(own.flat_map(|set| ["--set", set])).collect()
@@ -97,12 +97,12 @@ fn every_system_is_on_the_page_with_the_means_of_its_runs() {
     }
     assert!(html.starts_with("<!doctype html>") && html.trim_end().ends_with("</html>"));
     assert!(!["http:", "https:", "<link", "@import"].iter().any(|fetching| html.contains(fetching)));
-    // Required notes on published figures.
+    // The page has the notes that published figures require.
     for part in ["35.72", "3.4 of the 3.57 dB", "46.5 MiB", "LPIPS", "black"] {
         assert!(html.contains(part) && markdown.contains(part), "{part}");
     }
 
-    // Means computed here from the reports of the runs.
+    // Computes the means from the reports of the runs.
     for (table, folder, scales) in [(0, "", 4), (1, "single-scale/", 1)] {
         let rows = report["tables"][table]["mean"].as_array().unwrap();
         assert_eq!(rows.len(), SYSTEMS.len());
@@ -164,7 +164,7 @@ fn a_run_that_fails_is_reported_and_ends_no_other() {
         &["rip_map.", "tensor.", "voxels."],
         &["scenes/lego", "--out", "out", "--systems", "tri-mip,ngp,ngp-17"],
     );
-    // Foreign files in the folder of a run.
+    // The folder of one run contains a foreign file.
     fs::create_dir_all(here.join("out/lego/ngp-17/42")).unwrap();
     fs::write(here.join("out/lego/ngp-17/42/model.safetensors"), "theirs").unwrap();
     let answer = run(here, &job);
@@ -197,7 +197,7 @@ fn a_job_that_is_killed_goes_on_to_the_same_runs() {
     let whole = run(here, &job("whole"));
     assert_eq!(whole.code, Some(0), "{}", whole.err);
 
-    // Killed within the first run, then within a later one.
+    // The job is killed within its first run, then within a later one.
     let wait_for = |name: &str| {
         for _ in 0..4000 {
             if here.join("out/lego").join(name).join("checkpoint.safetensors").exists() {

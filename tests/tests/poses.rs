@@ -1,4 +1,4 @@
-//! Training corrects wrong cameras of photographs, and the model is sharper for it.
+//! Checks that training corrects wrong cameras of photographs, and that this improves the model.
 
 use glam::{DMat3, DQuat, DVec3};
 use trimip_core::{
@@ -11,26 +11,26 @@ use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 use trimip_tests::fixtures::{TestRandom, as_code};
 
-/// Rotation of each camera, degrees.
+/// Angle by which each camera is rotated, in degrees.
 const TURNED: f64 = 0.5;
 
-/// Translation of each camera, as a fraction of its distance to the middle of the scene.
+/// Distance by which each camera is moved, as a fraction of its distance to the middle of the scene.
 const SHIFTED: f64 = 0.01;
 
-/// Smallest gain in dB of refined poses.
+/// Smallest gain in dB from refined poses.
 const GAIN: f64 = 0.4;
 
-/// Largest remaining fraction of the cameras' error, measured in the pictures.
+/// Largest fraction of the cameras' error that may remain, measured in pixels of the pictures.
 const LEFT: f64 = 0.6;
 
 /// Ratio of the given focal length to the true one.
 const ZOOMED: f64 = 1.04;
 
-/// Largest remaining fraction of the focal length's error. The size of the scene changes along with the focal length, and only
-/// small differences in perspective distinguish the two.
+/// Largest fraction of the focal length's error that may remain. The size of the scene changes along with the focal length, and
+/// only small differences in perspective distinguish the two.
 const ZOOM_LEFT: f64 = 0.9;
 
-/// Shift of the given principal point, pixels.
+/// Shift of the given principal point in pixels.
 const OFF_CENTRE: f64 = 1.5;
 
 fn configuration() -> Config {
@@ -48,7 +48,7 @@ fn configuration() -> Config {
     config.occupancy.warmup = 64;
     config.train.samples_per_step = 8192;
     config.train.steps = 1000;
-    // A short run.
+    // The run is short, so poses move faster and earlier than by default.
     config.optimizer =
         OptimizerConfig { camera_rate: 1e-4, camera_delay: 0.1, ..Config::default().optimizer };
     config
@@ -58,7 +58,7 @@ fn vector(random: &mut TestRandom) -> DVec3 {
     DVec3::from_array([0; 3].map(|_| random.between(-1.0, 1.0))).normalize()
 }
 
-/// The photographs with perturbed cameras. The mean of the perturbations is nearly zero.
+/// Returns the photographs with perturbed cameras. The mean of the perturbations is nearly zero.
 fn perturbed(mut views: ViewSet) -> ViewSet {
     let mut random = TestRandom::new(11);
     let off: Vec<[DVec3; 2]> = views.views.iter().map(|_| [0; 2].map(|_| vector(&mut random))).collect();
@@ -73,8 +73,8 @@ fn perturbed(mut views: ViewSet) -> ViewSet {
     views
 }
 
-/// Root mean square differences of cameras, over the photographs: rotation in degrees, distance, and pixels in the picture of
-/// the corners of the scene.
+/// Returns the root mean square differences of cameras over the photographs: rotation in degrees, distance, and displacement of
+/// the scene's corners in pixels of the picture.
 fn apart(found: &[Camera], known: &[Camera]) -> [f64; 3] {
     let count = known.len() as f64;
     let mut squares = [0.0; 3];
@@ -146,7 +146,8 @@ fn poses_that_are_off_come_back() {
     assert!(after[2] < LEFT * before[2], "{:.2} of {:.2} pixels remain", after[2], before[2]);
 }
 
-/// One camera took all photographs. Its focal length and principal point are wrong, the poses are right.
+/// All photographs were taken by one camera. Training corrects its focal length and principal point, which are wrong; the poses
+/// are right.
 #[test]
 fn intrinsics_that_are_off_come_back() {
     let mut config = configuration();

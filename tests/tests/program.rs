@@ -1,4 +1,4 @@
-//! Tests that start the program as its users do. They are one binary, which is linked once and whose tests share both cores.
+//! Tests that start the program as its users do. They form one binary, which is linked once and whose tests share the cores.
 
 mod binary;
 mod binary_gpu;

@@ -9,13 +9,13 @@ use trimip_core::scene::silhouettes;
 use trimip_core::scene_plan::radii;
 use trimip_core::{Aabb, Alpha, Camera, Config, Intrinsics, Scale, View, ViewSet};
 
-/// Optical depths from 1e-12 to 1e12, colours and distances of a ray's samples.
+/// Generates the samples of a ray: optical depths from 1e-12 to 1e12, colours and distances.
 fn ray() -> impl Strategy<Value = Vec<(f64, [f64; 3], f64)>> {
     let sample = (-12.0..12.0_f64, prop::array::uniform3(0.0..1.0_f64), 0.1..10.0_f64);
     prop::collection::vec(sample.prop_map(|(depth, rgb, t)| (10_f64.powf(depth), rgb, t)), 0..60)
 }
 
-/// A box at a random position, with side ratios up to 1 : 1000.
+/// Generates a box at a random position, with side ratios up to 1 : 1000.
 fn aabb() -> impl Strategy<Value = Aabb<f64>> {
     let sides = prop::array::uniform3((-3.0..0.0_f64).prop_map(|log| 10_f64.powf(log)));
     (sides, prop::array::uniform3(-5.0..5.0_f64))
@@ -102,7 +102,8 @@ proptest! {
         }
     }
 
-    /// Planes for any box: nearly square texels, levels that halve evenly, weights that are a partition of one.
+    /// The planes of any box have nearly square texels, levels that halve evenly, and interpolation weights that sum to
+    /// one.
     #[test]
     fn planes_fit_their_box(
         aabb in aabb(), levels in 1..7_u32, units in 1..20_u32, a in 0.0..1.0_f64, b in 0.0..1.0_f64,
@@ -117,7 +118,7 @@ proptest! {
         let texel = aabb.longest() / f64::from(config.plane_size);
         for axis in 0..3 {
             prop_assert!(fitted.sides[axis].is_multiple_of(1 << (levels - 1)));
-            // Not coarser than requested, and finer by less than one unit of texels.
+            // Texels are not coarser than requested, and a side has less than one unit of texels too many.
             let own = aabb.extent()[axis] / fitted.sides[axis] as f64;
             prop_assert!(own <= texel * 1.02, "{own} for {texel}");
             let unit = (1 << (levels - 1)) as f64;
@@ -135,7 +136,7 @@ proptest! {
                 prop_assert!((sum - 1.0).abs() < 1e-12);
             }
         }
-        // Growing preserves every texel's mean.
+        // Growing preserves the mean of the texels.
         if levels > 1 && fitted.base_len() < 200_000 {
             let half = fitted.halved(1);
             let mut values: Vec<f64> = (0..fitted.base_len()).map(|i| (i as f64 * 0.7).sin()).collect();
@@ -148,7 +149,7 @@ proptest! {
     }
 }
 
-/// Gradients by optical depths and colours.
+/// Computes the gradients with respect to optical depths and colours.
 fn gradient(
     samples: &[(f64, [f64; 3], f64)],
     background: [f64; 3],
@@ -160,7 +161,7 @@ fn gradient(
     composite_gradient(samples.len(), sample, pixel.channels(), upstream, |i, x, rgb| out[i] = (x, rgb));
 }
 
-/// Silhouettes of a box, from cameras all around.
+/// Returns silhouettes of a box, seen from cameras all around it.
 fn photographs(object: &Aabb<f64>, origins: &[DVec3]) -> ViewSet {
     let k = Intrinsics::from_angle(64, 64, 0.8);
     let mut set = ViewSet {

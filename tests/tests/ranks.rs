@@ -1,4 +1,4 @@
-//! The program on several ranks, as `mpirun` starts it. Without Open MPI these tests are skipped with a message; with
+//! Checks of the program on several ranks, started by `mpirun`. Without Open MPI these tests are skipped with a message; with
 //! `TRIMIP_REQUIRE_MPI=1` they fail instead.
 
 use serde_json::Value;
@@ -12,7 +12,7 @@ use trimip_tests::binary::{Answer, build, command, run, tiny, tiny_and};
 use trimip_tests::files::files;
 use trimip_tests::whole::{Whole, is_sound};
 
-/// The program with the feature `mpi`. Where it cannot be built, prints a line and returns `None`.
+/// Builds the program with the feature `mpi`. If Open MPI is not installed, prints a line and returns `None`.
 fn program_of_ranks() -> Option<&'static Path> {
     static PROGRAM: OnceLock<Option<PathBuf>> = OnceLock::new();
     let built = PROGRAM.get_or_init(|| {
@@ -29,7 +29,7 @@ fn program_of_ranks() -> Option<&'static Path> {
     built.as_deref()
 }
 
-/// The program on `ranks` ranks, with arguments and a working directory.
+/// Returns a command that runs the program on `count` ranks, with arguments and a working directory.
 fn ranks(count: usize, here: &Path, arguments: &[&str]) -> Option<Command> {
     let mut command = Command::new("mpirun");
     command
@@ -43,7 +43,7 @@ fn ranks(count: usize, here: &Path, arguments: &[&str]) -> Option<Command> {
     Some(command)
 }
 
-/// Runs these ranks to their end.
+/// Runs the program on `count` ranks to its end.
 fn answer(count: usize, here: &Path, arguments: &[&str]) -> Option<Answer> {
     let Output { status, stdout, stderr } = ranks(count, here, arguments)?.output().expect("mpirun starts");
     let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
@@ -63,7 +63,7 @@ fn any_number_of_ranks_writes_the_run_of_one() {
         assert!(answer.err.contains(&format!("{count} ranks: rank 0 sent")), "{}", answer.err);
         assert_eq!(whole.is_ended_by(&here.join(&out)), Ok(()), "{count} ranks");
     }
-    // A run continues with another number of ranks, and with one process.
+    // A run can be continued with another number of ranks, and with one process.
     let stopped = [&tiny_and(&["--out", "parts"])[..], &["--stop-after", "7"]].concat();
     assert_eq!(answer(2, here, &stopped).unwrap().code, Some(0));
     assert_eq!(answer(3, here, &stopped).unwrap().code, Some(0));
@@ -126,14 +126,14 @@ fn runs_are_trained_by_all_ranks() {
     assert!(alone == together, "the same models");
 }
 
-/// The models below a folder, by their paths in it.
+/// Returns the models below a folder, with their relative paths as keys.
 fn models(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut models = files(folder);
     models.retain(|path, _| path.ends_with("model.safetensors"));
     models
 }
 
-/// The value of the key `psnr` in each row of a table of a report.
+/// Returns the value of the key `psnr` in each row of a table of a report.
 fn qualities(report: &Path, table: &str) -> Vec<f64> {
     let report: Value = serde_json::from_slice(&std::fs::read(report).unwrap()).unwrap();
     let rows = report.pointer(table).and_then(Value::as_array).expect("a table");
@@ -227,13 +227,13 @@ fn a_build_without_ranks_refuses_them() {
     }
 }
 
-/// Process numbers of the children of a process.
+/// Returns the process numbers of the children of a process.
 fn children(parent: &str) -> Vec<String> {
     let output = Command::new("pgrep").args(["-P", parent]).output().expect("pgrep");
     String::from_utf8_lossy(&output.stdout).lines().map(String::from).collect()
 }
 
-/// Process numbers of the ranks that an `mpirun` started: each is the child of the process that guards it.
+/// Returns the process numbers of the ranks that an `mpirun` started. Each rank is the child of the process that guards it.
 fn ranks_of(mpirun: &Child) -> Vec<String> {
     children(&mpirun.id().to_string()).iter().flat_map(|guard| children(guard)).collect()
 }
@@ -281,7 +281,7 @@ fn a_rank_that_is_killed_ends_the_run_and_loses_nothing() {
         if here.join("killed").exists() {
             assert_eq!(is_sound(&here.join("killed")), Ok(()), "{sign}, rank {rank}");
         }
-        // Resumes with two ranks, or with one process.
+        // The run is resumed with two ranks, or with one process.
         let ended = if trial % 2 == 0 {
             answer(2, here, &arguments("killed")).unwrap().code
         } else {
@@ -307,7 +307,7 @@ fn endless(here: &Path) -> Option<(Child, impl Iterator<Item = String> + Send + 
     Some((mpirun, lines))
 }
 
-/// True while a process exists and is no zombie.
+/// Returns true while a process exists and is no zombie.
 fn lives(process: &str) -> bool {
     let output = Command::new("ps").args(["-o", "stat=", "-p", process]).output().expect("ps");
     let state = String::from_utf8_lossy(&output.stdout);
@@ -352,7 +352,7 @@ fn an_interrupted_run_is_saved() {
     assert_eq!(is_sound(&here.join("run")), Ok(()));
 }
 
-/// Guards pass signals on: some launchers signal only the processes that they started.
+/// A guard passes signals on to its rank, because some launchers signal only the processes that they started.
 #[test]
 fn a_guard_passes_a_stop_on() {
     let folder = tempfile::tempdir().unwrap();
@@ -367,7 +367,7 @@ fn a_guard_passes_a_stop_on() {
     assert_eq!(is_sound(&here.join("run")), Ok(()));
 }
 
-/// Two ranks in working directories of their own find other files under the same paths.
+/// Two ranks with separate working directories are refused if they find different files under the same paths.
 #[test]
 fn ranks_with_other_photographs_or_models_are_refused() {
     let folder = tempfile::tempdir().unwrap();

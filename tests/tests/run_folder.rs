@@ -1,5 +1,5 @@
-//! Protection of a run folder: foreign files are refused, two processes are kept apart, a stale report is rebuilt. A
-//! run also uses the memory that its plan predicts.
+//! Checks of the protection of a run folder: foreign files are refused, two processes are kept apart, a stale report is rebuilt. Another
+//! test compares the memory of a run with the plan's prediction.
 
 use std::{fs, path::Path, process::Stdio, time::Duration};
 use trimip_tests::{
@@ -7,7 +7,7 @@ use trimip_tests::{
     files::files,
 };
 
-/// Asserts that the program refuses in one line that contains `parts`, and leaves the folder unchanged.
+/// Asserts that the program refuses with an error of one line that contains `parts`, and leaves the folder unchanged.
 fn refuses(here: &Path, arguments: &[&str], parts: &[&str]) {
     let before = files(here);
     let answer = run(here, arguments);
@@ -70,12 +70,12 @@ fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
         }
     }
     assert_eq!(fs::read(here.join("run/plan.json")).unwrap(), plan);
-    // Baking is refused: it changes the model.
+    // Baking is refused, because it changes the model.
     fs::copy(here.join("run/checkpoint.safetensors"), here.join("run/model.safetensors")).unwrap();
     let bake = run(here, &["bake", "run"]);
     assert!(bake.code == Some(2) && bake.err.contains("another process"), "{}", bake.err);
     fs::remove_file(here.join("run/model.safetensors")).unwrap();
-    // Reading needs no lock.
+    // Verbs that only read need no lock.
     let eval = run(here, &["eval", "run"]);
     assert_eq!(eval.code, Some(0), "{}", eval.err);
     assert!(first.try_wait().unwrap().is_none(), "the first process goes on");
@@ -106,8 +106,8 @@ fn the_report_of_a_finished_run_is_what_the_run_is_now() {
     for name in whole.keys() {
         let path = here.join("run").join(name);
         let text = name.to_string_lossy();
-        // Without these files the run is another one, or none. A finished run of the built-in scene takes its cameras from `cameras.json`,
-        // not from the photographs.
+        // Without these files the folder holds another run, or none. A finished run of the built-in scene takes its cameras from
+        // `cameras.json`, not from the photographs.
         if ["config.toml", "plan.json", "metrics.jsonl", "cameras.json"].iter().any(|kept| text == *kept)
             || text.ends_with(".safetensors")
         {
@@ -165,7 +165,7 @@ fn a_finished_run_of_other_photographs_is_not_this_one() {
     of("a/scene", &[]).expect_error(2, &told);
 }
 
-/// The plan's predicted memory against the peak resident memory of the process, on a scene of medium size. The system
+/// On a scene of medium size, the peak resident memory of the process is within a quarter of the memory that the plan predicts. The system
 /// decides how many pages of the program's own file are resident, so the process may use up to that file's length more.
 #[test]
 fn predicted_memory_is_within_a_quarter_of_what_is_used() {

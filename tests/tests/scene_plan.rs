@@ -1,4 +1,4 @@
-//! The scene plan of the program: the parts that it leaves out, that a run keeps its plan, and the quality of a model
+//! Checks of the scene plan: the parts that it leaves out, the plan that a run keeps, and the quality of a model
 //! without those parts.
 
 use serde_json::Value;
@@ -17,7 +17,7 @@ fn json(path: &Path) -> Value {
     serde_json::from_slice(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Decisions of a `plan.json` that leave something out.
+/// Returns the decisions of a `plan.json` that leave something out.
 fn left_out(findings: &Value) -> Vec<&str> {
     let findings = findings.as_array().expect("a list");
     findings.iter().filter(|f| f["left_out"] == true).map(|f| f["decision"].as_str().unwrap()).collect()
@@ -66,7 +66,7 @@ fn a_run_is_planned_once_and_its_model_is_what_was_measured() {
     let model = Model::read(&path.join("model.safetensors")).unwrap();
     assert_eq!(model.config, config);
     assert_eq!(config.file.planes, FilePrecision::F16);
-    // `eval` on the model file gives the PSNR that the run measured before writing it, f16 or not.
+    // `eval` on the model file gives the PSNR that the run measured before it wrote the file, also with f16 texels.
     let answer = run(folder.path(), &["eval", "run", "--json", "eval.json"]);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
     let measured = json(&path.join("report.json"))["mean"]["psnr"].as_f64().unwrap();
@@ -155,8 +155,8 @@ fn a_plan_says_what_why_and_at_what_cost() {
     }
 }
 
-/// The built-in scene needs only the part of the box that its cameras see, and all of the planned box: planning again
-/// leaves nothing out.
+/// The built-in scene needs only the part of the box that its cameras see. It needs all of the planned box, so planning
+/// a second time leaves nothing out.
 #[test]
 fn a_plan_of_what_was_planned_leaves_nothing_out() {
     for scales in [4, 1] {

@@ -1,5 +1,5 @@
-//! A backend outside of the workspace brings its own section of settings. It is read, range-checked, documented, written
-//! and resumed, and no other crate mentions it.
+//! A backend outside of the workspace can define its own section of settings. The section is read, range-checked, documented,
+//! written and resumed, and no other crate mentions it.
 
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -42,12 +42,12 @@ rounding = { default = "nearest", meaning = 'of sums: "nearest" | "stochastic"' 
     }
 }
 
-/// The definitions of a program that has the backend.
+/// Returns the definitions of a program that has the backend.
 fn definitions() -> Arc<Definitions> {
     Definitions::new(&[trimip_data::SECTION, ForeignSection::of::<TpuConfig>()], &[]).into()
 }
 
-/// A small training of the built-in scene on the CPU.
+/// Returns the settings of a small training of the built-in scene on the CPU.
 fn small() -> Settings {
     let mut settings = Settings::of(definitions());
     for assignment in [

@@ -1,5 +1,5 @@
-//! Signals of the system: a signal that was ignored when the program began stays ignored, and one that comes before the first
-//! step ends the program at once.
+//! Checks of signals: a signal that was ignored when the program began stays ignored, and one that arrives before the first step
+//! ends the program at once.
 
 #![cfg(unix)]
 
@@ -18,7 +18,7 @@ fn send(signal: &str, child: &Child) {
     assert!(status.is_ok_and(|status| status.success()), "the process is there");
 }
 
-/// Hangs up on a run after its first step. Returns its exit code and the kinds of its later events.
+/// Sends SIGHUP to a run after its first step. Returns the run's exit code and its later events.
 fn hang_up(mut command: Command) -> (Option<i32>, String) {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines().map_while(Result::ok);
@@ -28,7 +28,8 @@ fn hang_up(mut command: Command) -> (Option<i32>, String) {
     (child.wait().expect("a process").code(), rest.join("\n"))
 }
 
-/// Restores the default action of SIGHUP. Tests that `nohup` started ignore it, and the programs that they start inherit that.
+/// Restores the default action of SIGHUP. Tests that were started with `nohup` ignore SIGHUP, and so would the programs that they
+/// start.
 fn restore_hang_up() {
     use nix::sys::signal::{SigHandler, Signal, signal};
     // SAFETY: the default action installs no handler, so no code of ours runs inside a signal.
@@ -60,7 +61,7 @@ fn a_hang_up_stops_a_run_unless_it_was_started_with_nohup() {
 fn a_run_that_is_stopped_while_it_reads_ends_without_a_trace() {
     let folder = tempfile::tempdir().unwrap();
     let here: &Path = folder.path();
-    // Seconds of rendering on any machine, picture by picture.
+    // Rendering these photographs takes seconds on any machine.
     let large = ["data.builtin_size=256", "data.builtin_train=200", "data.builtin_supersampling=4"];
     let large: Vec<&str> = large.into_iter().flat_map(|setting| ["--set", setting]).collect();
     let arguments = tiny_and(&[&large[..], &["--out", "run"]].concat());

@@ -1,5 +1,5 @@
-//! The structure of the workspace: which files import which. Rings of files that import each other are bounded, the rooms of
-//! `trimip-core` depend on each other in one direction, and no file or function is too long to read.
+//! Checks of the structure of the workspace: rings of files that import each other are small, the rooms of `trimip-core` depend
+//! on each other in one direction, no file is too long to read, and the lists of ARCHITECTURE.md are complete.
 //!
 //! `cargo test -p trimip-tests --test structure -- --nocapture` prints every ring.
 
@@ -10,14 +10,14 @@ use syn::visit_mut::{self, VisitMut};
 use syn::{Attribute, File, Item, ItemMod, ItemUse, UseTree, Visibility};
 use trimip_tests::lists::{places, section};
 
-/// A path of names: that of a module within its crate, or of an item.
+/// Path of a module within its crate, or of an item, as a list of names.
 type Names = Vec<String>;
 
-/// The largest allowed ring of files of each crate: no crate may exceed it.
+/// Number of files in the largest ring that each crate may have.
 const LARGEST_RINGS: [(&str, usize); 13] = [
     ("trimip", 1),
     ("trimip-cli", 2),
-    // The device, its stages and the batches between them name each other.
+    // The device, its stages and the batches between them import each other.
     ("trimip-core", 3),
     ("trimip-cpu", 2),
     ("trimip-data", 1),
@@ -31,22 +31,22 @@ const LARGEST_RINGS: [(&str, usize); 13] = [
     ("tests", 2),
 ];
 
-/// Longest file, in lines.
+/// Largest number of lines that a file may have.
 const LONGEST_FILE: usize = 621;
 
-/// The rooms of `trimip-core`. A room may use those before it.
+/// The rooms of `trimip-core`, which are its top-level modules. A room may use only the rooms before it.
 const ROOMS: [&str; 9] =
     ["config", "math", "geometry", "scene", "field", "measures", "engine", "run", "scene_plan"];
 
-/// The sections of ARCHITECTURE.md that list the files of a new member of a registry, a member whose files are known, and the
-/// words by which files name it.
+/// The sections of ARCHITECTURE.md that list the files of a new member of a registry. Each comes with an existing member, and
+/// with the words by which files name that member.
 const LISTS: [(&str, &str, &[&str]); 6] = [
     ("Adding an encoder", "voxels", &["voxels", "Voxels", "VoxelsConfig"]),
     ("Adding a loss term", "charbonnier", &["charbonnier", "Charbonnier"]),
     ("Adding a camera model", "orthographic", &["orthographic", "Orthographic"]),
     ("Adding a scene reader", "llff", &["llff"]),
     ("Adding a verb", "doctor", &["doctor", "Doctor"]),
-    // Pages have no registry: only that the files exist is checked.
+    // Pages have no registry, so the test only checks that the files exist.
     ("Adding a page", "", &[]),
 ];
 
@@ -54,7 +54,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace").into()
 }
 
-/// All files below `folder` with one of these endings.
+/// Returns all files below `folder` with one of the given endings.
 fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in
@@ -71,15 +71,15 @@ fn files(folder: &Path, endings: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// All Rust files below `folder`.
+/// Returns all Rust files below `folder`.
 fn rust_files(folder: &Path) -> Vec<PathBuf> {
     files(folder, &["rs"])
 }
 
-/// The modules of a crate, one per file, and what each imports.
+/// The modules of a crate, one per file, and their re-exports.
 struct Crate {
     modules: BTreeMap<Names, File>,
-    /// Re-exports of a module with `pub use`: name → path of the item.
+    /// Items that each module re-exports with `pub use`: name → path of the item.
     exports: BTreeMap<Names, BTreeMap<String, Names>>,
 }
 
@@ -123,7 +123,7 @@ impl Crate {
         exports
     }
 
-    /// Resolves a path written in `module` from the crate's root; `None` if it leads out of the crate.
+    /// Resolves a path that is written in `module` to a path from the crate's root; `None` if it leads out of the crate.
     fn absolute(&self, module: &Names, path: &[String]) -> Option<Names> {
         let mut base = module.clone();
         let mut rest = path;
@@ -146,7 +146,7 @@ impl Crate {
         Some(base.into_iter().chain(rest.iter().cloned()).collect())
     }
 
-    /// The module that defines the item at `path`, through re-exports.
+    /// Returns the module that defines the item at `path`, following re-exports.
     fn defining(&self, path: &[String], depth: usize) -> Option<Names> {
         for length in (0..=path.len()).rev() {
             let module = path[..length].to_vec();
@@ -165,7 +165,7 @@ impl Crate {
         None
     }
 
-    /// The modules that each module imports, apart from its tests.
+    /// Returns the modules that each module imports, except in its tests.
     fn imports(&self) -> BTreeMap<Names, BTreeSet<Names>> {
         let of = |(module, file): (&Names, &File)| {
             let mut paths = Paths::default();
@@ -182,7 +182,7 @@ impl Crate {
     }
 }
 
-/// The paths that a file names, apart from those in `#[cfg(test)]` modules.
+/// The paths that a file names, except in `#[cfg(test)]` modules.
 #[derive(Default)]
 struct Paths(Vec<Names>);
 
@@ -213,7 +213,7 @@ impl VisitMut for Paths {
     }
 }
 
-/// Every path of a `use`.
+/// Returns every path of a `use`.
 fn leaves(tree: &UseTree) -> Vec<Names> {
     let below = |name: String, rest: Vec<Names>| {
         rest.into_iter().map(|path| [vec![name.clone()], path].concat()).collect()
@@ -228,8 +228,8 @@ fn leaves(tree: &UseTree) -> Vec<Names> {
     }
 }
 
-/// The rings of a graph: its strongly connected components of two and more nodes, largest first (Tarjan 1972, by reachability:
-/// the graphs are small).
+/// Returns the rings of a graph, largest first: its strongly connected components of two or more nodes (Tarjan 1972), found by
+/// reachability, because the graphs are small.
 fn rings<T: Ord + Clone>(graph: &BTreeMap<T, BTreeSet<T>>) -> Vec<BTreeSet<T>> {
     let reach = |from: &T| {
         let (mut found, mut next) = (BTreeSet::new(), vec![from]);
@@ -275,7 +275,7 @@ fn rings_of_files_that_import_each_other_are_small() {
     }
 }
 
-/// The ring finder itself, on a graph with a known answer.
+/// Checks [`rings`] on a graph whose rings are known.
 #[test]
 fn rings_are_found() {
     let graph = BTreeMap::from([
@@ -308,7 +308,7 @@ fn files_are_short() {
     );
 }
 
-/// A file of `tests/tests` is a test of Cargo or a module of one: none is forgotten.
+/// Every file of `tests/tests` is a test target of Cargo or a module of one, so none is forgotten.
 #[test]
 fn every_file_of_tests_is_run() {
     let manifest = fs::read_to_string(root().join("tests/Cargo.toml")).expect("a manifest");
@@ -350,14 +350,14 @@ fn rooms_of_core_use_those_before_them() {
     assert_eq!(rooms.len(), ROOMS.len(), "every room has files");
 }
 
-/// True if `text` contains `word` with no letter or digit next to it.
+/// Returns true if `text` contains `word` with no letter or digit next to it.
 fn names(text: &str, word: &str) -> bool {
     let part = |character: Option<char>| character.is_some_and(|character| character.is_alphanumeric());
     text.match_indices(word)
         .any(|(at, _)| !part(text[..at].chars().next_back()) && !part(text[at + word.len()..].chars().next()))
 }
 
-/// A source without its tests and comments.
+/// Returns a source without its tests and comments.
 fn code(text: &str) -> String {
     let text = text.find("#[cfg(test)]\nmod tests").map_or(text, |at| &text[..at]);
     // A setting's meaning is a comment of its table.

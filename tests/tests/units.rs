@@ -1,4 +1,4 @@
-//! The unit, position and rotation of a world change nothing: the built-in scene is planned and trained in worlds transformed by a
+//! The unit, the position and the rotation of a world change nothing: the built-in scene is planned and trained in worlds transformed by a
 //! similarity, in bounded space with silhouettes and in contracted space without.
 
 use glam::{DMat3, DVec3};
@@ -12,11 +12,11 @@ use trimip_core::{
 use trimip_cpu::{CpuBackend, simd::Simd};
 use trimip_data::settings::DataConfig;
 
-/// Number of training steps, and of the last ones over which the batch PSNR is averaged.
+/// Number of training steps, and number of the last steps over which the batch PSNR is averaged.
 const STEPS: u64 = 240;
 const LAST: u64 = 60;
 
-/// Largest difference of the PSNR in dB: two seeds differ by as much.
+/// Largest difference of the PSNR in dB; two seeds differ by that much.
 const SPREAD: f64 = 0.5;
 
 /// A similarity: x ↦ scale · turn · x + offset.
@@ -35,7 +35,7 @@ impl Similarity {
     }
 }
 
-/// The training views of the built-in scene. Without `alpha` they show a sky behind it: a colour for each direction.
+/// Returns the training views of the built-in scene. Without `alpha` they show a sky behind it, with a colour for each direction.
 fn views(alpha: bool) -> ViewSet {
     let mut config = trimip::settings::defaults();
     for assignment in
@@ -63,7 +63,7 @@ fn views(alpha: bool) -> ViewSet {
     views
 }
 
-/// The planned configuration, and the mean PSNR of the last batches in dB.
+/// Trains on the views; returns the planned configuration, and the mean PSNR of the last batches in dB.
 fn trained(views: ViewSet) -> (Config, f64) {
     let mut settings = trimip::settings::defaults();
     for assignment in

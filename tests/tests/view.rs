@@ -1,4 +1,4 @@
-//! `view`: access control, answers to requests, and the page in a real browser.
+//! Checks of the verb `view`: access control, answers to requests, and the page in a real browser.
 
 use serde_json::{Value, json};
 use std::io::Write;
@@ -10,7 +10,7 @@ use trimip_tests::binary::{command, refuses, run, tiny_and};
 use trimip_tests::pages::{TELEPHONE, expect_nothing_cut_off, resize};
 use trimip_tests::watching::{Browser, Page, Received, Shown, view};
 
-/// A trained run in `here/run`.
+/// Trains a run into `here/run`.
 fn trained(here: &Path) {
     let answer = run(here, &tiny_and(&["--out", "run"]));
     assert_eq!(answer.code, Some(0), "{answer:?}");
@@ -324,15 +324,15 @@ fn a_part_of_the_box_and_its_quantities_are_shown() {
     }
 }
 
-/// Bytes of the canvas, as a number that differs for different pictures.
+/// Script that returns a hash of the canvas, a number that differs for different pictures.
 const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
     .getImageData(0, 0, c.width, c.height).data; let h = 0; for (const b of d) h = (h * 31 + b) | 0; return h; })()";
 
-/// True once the picture has all its pixels: a moving camera's picture is done with fewer.
+/// Script that returns true once the picture has all its pixels. While the camera moves, a picture is done with fewer.
 const FINEST: &str = "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
     && document.getElementById('size').textContent.startsWith(`${c.width}×${c.height},`); })()";
 
-/// The file that the page saves for a path of only the present view.
+/// Returns the file that the page saves for a path of the current view only.
 fn path_of_one_view(browser: &mut Browser) -> String {
     let path = browser.value(
         "(async () => { const create = URL.createObjectURL; let blob; URL.createObjectURL = (b) => (blob = b, create(b));
@@ -390,7 +390,7 @@ fn the_page_works_in_a_browser() {
     );
     assert_ne!(browser.value(clip), middle);
 
-    // Another quantity is another picture; cameras are drawn over it.
+    // Another quantity changes the picture; cameras are drawn over it.
     browser.wait("document.getElementById('view').dataset.done === 'true'");
     let color = browser.value(PICTURE);
     browser.value("(() => { const s = document.getElementById('show'); s.value = 'normals'; s.dispatchEvent(new Event('change')); })()");
@@ -424,7 +424,7 @@ fn the_page_works_in_a_browser() {
     assert!(image::load_from_memory(&picture).is_ok_and(|picture| picture.width() >= 1000));
     browser.keep("view.png");
 
-    // The report of the run, and back.
+    // The page links to the report of the run, and the report links back.
     assert_eq!(browser.value("document.getElementById('report').hidden"), false);
     browser.value("document.querySelector('#report a').click()");
     browser.wait(
@@ -456,7 +456,7 @@ fn the_page_opens_cropped_and_its_switch_shows_everything() {
     browser.wait(&format!("{PICTURE} === {cropped}"));
 }
 
-/// The built-in scene as files in `here/scene`; its test photographs have these names.
+/// Writes the built-in scene to `here/scene`; its test photographs have the given names.
 fn write_photographs(here: &Path, names: [&str; 2]) {
     let builtin = DataConfig { builtin_size: 16, builtin_train: 2, builtin_test: 2, ..DataConfig::default() };
     let scene = here.join("scene");
@@ -476,7 +476,7 @@ fn photographs_are_listed_by_their_names() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     trained(here);
-    // A name that would be another text as HTML, and a name that is longer than the list is wide.
+    // One name would be another text if it were read as HTML, the other is wider than the list.
     let long = format!("first of all{}the last", "_".repeat(40));
     let names = ["&lt;i&gt;Zoë's 1 &amp; 2", &long];
     write_photographs(here, names);
@@ -548,7 +548,7 @@ fn a_place_opens_at_a_photograph_and_home_returns_there() {
     assert!(is_home(&mut browser));
     browser.wait(&format!("{PICTURE} === {first}"));
 
-    // From another photograph, too.
+    // The key also returns there from another photograph.
     browser.value("document.getElementById('next').click()");
     assert!(!is_home(&mut browser));
     browser.value("document.getElementById('view').focus()");
@@ -579,7 +579,7 @@ fn the_page_fits_a_telephone() {
 fn a_run_is_watched_in_a_browser() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    // A small screen.
+    // The screen is small.
     let Some(mut browser) = Browser::start(420, 800) else { return };
     let mut run = in_training(here);
     browser.open(&run.address());

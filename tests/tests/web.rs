@@ -1,4 +1,5 @@
-//! `export web`: a page that renders a model by itself, in a real browser, against the CPU backend.
+//! Checks of `export web`: in a real browser, the page renders a model by itself, and its pictures match those of the CPU
+//! backend.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -8,8 +9,8 @@ use trimip_core::{Intrinsics, config::RendererKind, measures::metrics};
 use trimip_tests::binary::{refuses, run, tiny_and};
 use trimip_tests::watching::{Browser, view};
 
-/// The page's program. If `tools/web.sh` has not built it, prints a line and returns `None`; with `TRIMIP_REQUIRE_WEB=1` it
-/// panics instead.
+/// Returns the folder of the page's program. If `tools/web.sh` has not built the program, prints a line and returns `None`, or
+/// panics if `TRIMIP_REQUIRE_WEB` is set.
 fn program() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/web");
     if folder.join("trimip_web_bg.wasm").is_file() {
@@ -56,7 +57,7 @@ fn serve(folder: PathBuf) -> String {
     address
 }
 
-/// A trained run in `here/run`, of more than the smallest size.
+/// Trains a run into `here/run`, larger than the smallest one.
 fn trained(here: &Path) {
     let more = ["--set", "train.steps=400", "--set", "data.builtin_size=32", "--out", "run"];
     let answer = run(here, &tiny_and(&more));
@@ -80,7 +81,7 @@ fn a_packed_model_is_small_and_near() {
         [&model, &packed].map(|model| backends::load(model).unwrap().render(&camera).unwrap().rgb());
     let psnr = metrics::psnr(&near, &exact);
     assert!(psnr > 40.0, "{psnr:.1} dB");
-    // A packed model has no proxy, so it renders by volume.
+    // A packed model has no proxy, so it is volume-rendered.
     let baked = run(here, &["bake", "run"]);
     assert_eq!(baked.code, Some(0), "{baked:?}");
     let baked = trimip::read_model(&here.join("run")).unwrap();
@@ -95,7 +96,7 @@ fn a_packed_model_is_small_and_near() {
     assert!(metrics::psnr(&apart, &near) > 80.0);
 }
 
-/// A view of the built-in scene.
+/// Returns a camera that looks at the built-in scene.
 fn camera() -> trimip_core::Camera {
     let pose: Vec<f64> = view(1, [3.0, 1.0, 2.0], 1, 1)["pose"]
         .as_array()

@@ -1,4 +1,4 @@
-//! The system allocator with a counter: a program that sets it as its global allocator can measure the memory of a reader.
+//! The system allocator with a counter: a program whose global allocator is [`Counting`] can measure the memory of a reader.
 
 use std::{
     alloc::{GlobalAlloc, Layout, System},
@@ -21,7 +21,7 @@ fn held(change: isize) {
     });
 }
 
-#[allow(unsafe_code)] // the only way to count
+#[allow(unsafe_code)] // only an allocator can count
 // SAFETY: every call goes to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -43,8 +43,8 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Runs `work`; returns its result and its peak memory on this thread, in bytes. The peak is 0 in programs whose allocator
-/// does not count.
+/// Runs `work`; returns its result and its peak memory on this thread, in bytes. The peak is 0 in programs with another global
+/// allocator.
 pub fn measured<T>(work: impl FnOnce() -> T) -> (T, usize) {
     HELD.set((0, 0));
     let result = work();

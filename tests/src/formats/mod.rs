@@ -1,6 +1,6 @@
-//! Checks that every file reader must pass for arbitrary bytes: no panic, and no more memory than a stated multiple of the
-//! file's size. The error of a refused file has one line that begins with the file's name and says what to do. The tests
-//! change valid files at random ([`Format::try_changes`]); the programs in `fuzz/` let libFuzzer choose the bytes
+//! Checks that every file reader must pass for arbitrary bytes: it does not panic, and it needs no more memory than a stated
+//! multiple of the file's size. The error of a refused file has one line that begins with the file's name and says what to do.
+//! The tests change valid files at random ([`Format::try_changes`]); the programs in `fuzz/` let libFuzzer choose the bytes
 //! ([`Format::check`]).
 
 pub mod memory;
@@ -22,19 +22,19 @@ type Limit = Box<dyn Fn(&[u8]) -> usize + Send + Sync>;
 pub struct Format {
     /// Name of the format.
     pub name: &'static str,
-    /// File names, one of which begins every refusal.
+    /// Names of the format's files; the error of a refused file begins with one of them.
     files: &'static [&'static str],
     read: Read,
     seeds: Seeds,
-    /// Memory limit of the reader in bytes, for the given bytes.
+    /// Returns the memory limit of the reader for the given bytes, in bytes.
     limit: Limit,
 }
 
 impl Format {
-    /// Returns the format of that name.
+    /// Returns the format called `name`.
     ///
     /// # Panics
-    /// If there is none.
+    /// If no format has that name.
     pub fn of(name: &str) -> &'static Self {
         FORMATS
             .iter()
@@ -42,12 +42,12 @@ impl Format {
             .unwrap_or_else(|| panic!("there is no format {name}"))
     }
 
-    /// Valid files.
+    /// Returns valid files of the format.
     pub fn valid(&self) -> Vec<Vec<u8>> {
         (self.seeds)()
     }
 
-    /// Peak memory of reading `bytes`, in bytes.
+    /// Returns the peak memory of reading `bytes`, in bytes.
     pub fn memory(&self, bytes: &[u8]) -> usize {
         memory::measured(|| (self.read)(bytes)).1
     }
@@ -74,7 +74,7 @@ impl Format {
         }
     }
 
-    /// Asserts an error of one line with the file's name and an action.
+    /// Asserts that an error has one line, which begins with the file's name and contains an action.
     fn expect_told(&self, error: &Error) {
         let message = &error.message();
         assert_eq!(error.kind(), ErrorKind::Input, "{message}");
@@ -90,7 +90,7 @@ impl Format {
     /// Checks `cases` random changes of valid files; returns how many changed files are still valid.
     ///
     /// # Panics
-    /// If a check fails. Prints the number of the case and the path of a file with its bytes.
+    /// If a check fails. The number of the change, and the path of a file with the changed bytes, are printed.
     pub fn try_changes(&self, seed: u64, cases: u64) -> u64 {
         let seeds = self.valid();
         for (index, bytes) in seeds.iter().enumerate() {
@@ -111,7 +111,7 @@ impl Format {
     }
 }
 
-/// Prints the case during which a check panics.
+/// Prints the number of a change, and the path of a file with its bytes, if the check of that change panics.
 struct CaseReport<'a> {
     format: &'a str,
     case: u64,

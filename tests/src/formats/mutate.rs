@@ -1,7 +1,7 @@
-//! Random changes of valid files: bits, cuts, replaced numbers and words, duplicated parts, and parts of other files. A case
-//! follows from a hash of its seed and number, so it can be repeated.
+//! Random changes of valid files: flipped bits, truncations, replaced numbers and words, duplicated parts, and parts of other
+//! files. A hash of the seed and the number of a case determines the case, so it can be repeated.
 
-/// Random numbers (SplitMix64).
+/// A generator of random numbers (SplitMix64).
 pub(super) struct Random(pub(super) u64);
 
 impl Random {
@@ -13,7 +13,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// A number below `end`, which is at least 1.
+    /// Returns a number below `end`, which must be at least 1.
     pub(super) fn below(&mut self, end: usize) -> usize {
         (self.next() % end as u64) as usize
     }
@@ -23,7 +23,7 @@ impl Random {
     }
 }
 
-/// Replacements of words and of lines.
+/// Texts that replace words and lines.
 const WORDS: [&str; 30] = [
     "nan",
     "-inf",
@@ -57,7 +57,7 @@ const WORDS: [&str; 30] = [
     "\r\n",
 ];
 
-/// Replacements of the bytes of numbers.
+/// Numbers that replace bytes of binary files.
 const NUMBERS: [u64; 12] = [
     0,
     1,
@@ -73,7 +73,7 @@ const NUMBERS: [u64; 12] = [
     0x7fef_ffff_ffff_ffff,
 ];
 
-/// `bytes` after one to four changes, some of which take parts of `other`.
+/// Returns `bytes` after one to four changes, some of which insert parts of `other`.
 pub(super) fn changed(bytes: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for _ in 0..1 + random.below(4) {
@@ -126,7 +126,7 @@ fn change(bytes: &mut Vec<u8>, other: &[u8], random: &mut Random) {
     }
 }
 
-/// Replaces the bytes around `at` by `with`, on both sides up to the nearest byte for which `ends` is true.
+/// Replaces the bytes around `at` with `with`, on both sides up to the nearest byte for which `ends` is true.
 fn instead(bytes: &mut Vec<u8>, at: usize, with: &str, ends: fn(u8) -> bool) {
     let start = bytes[..at].iter().rposition(|&byte| ends(byte)).map_or(0, |before| before + 1);
     let stop = bytes[at..].iter().position(|&byte| ends(byte)).map_or(bytes.len(), |length| at + length);

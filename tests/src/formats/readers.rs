@@ -1,5 +1,5 @@
-//! Every reader with its memory limit: a multiple of the file's size, plus a constant. The multiples follow from the shortest possible
-//! entries, which take the most memory per byte of file.
+//! Every reader with its memory limit: a multiple of the file's size, plus a constant. The multiple is the memory per byte of the shortest
+//! possible entries, which need the most.
 
 use super::{Format, seeds};
 use image::ImageReader;
@@ -19,7 +19,7 @@ use trimip_data::{
     in_memory::{self, CameraFile},
 };
 
-/// Constant part of a limit: default settings, messages, and the first entries of growing lists.
+/// Constant part of a limit, for default settings, messages, and the first entries of growing lists.
 const FIXED: usize = 1 << 20;
 
 /// Names of the files of a COLMAP model, as text and as binary.
@@ -30,7 +30,7 @@ const BINARY: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 pub static FORMATS: LazyLock<Vec<Format>> =
     LazyLock::new(|| in_memory::camera_files().map(of_cameras).chain(others()).collect());
 
-/// The format of a file that holds the cameras of a scene.
+/// Returns the format of a file that holds the cameras of a scene.
 fn of_cameras(file: &'static CameraFile) -> Format {
     let read = |bytes: &[u8]| {
         let cameras = (file.cameras)(file.file, bytes)?;
@@ -88,7 +88,7 @@ fn others() -> [Format; 15] {
         of("configuration", &["run.toml"], configuration, seeds::configurations, |b| 400 * b.len() + FIXED),
         of("assignment", &["set "], assignment, seeds::assignments, |b| 400 * b.len() + FIXED),
         of("path", &["path.json"], path, seeds::paths, |b| 160 * b.len() + FIXED),
-        // A proxy and a packed model are compressed: DEFLATE expands one byte to at most 1032, and each of them may become a float.
+        // Proxies and packed models are compressed: DEFLATE expands one byte to at most 1032 bytes, each of which may become a float.
         of("model", &["model.safetensors", "the model's proxy"], model, seeds::models, |b| {
             5400 * b.len() + FIXED
         }),
@@ -102,7 +102,7 @@ fn others() -> [Format; 15] {
     ]
 }
 
-/// Asserts finite numbers, and a positive focal length and size.
+/// Asserts that the numbers of a camera are finite, and that its focal lengths and size are positive.
 fn expect_finite(camera: &Camera) {
     let k = &camera.intrinsics;
     assert!(camera.rotation.is_finite() && camera.origin.is_finite(), "{camera:?}");
@@ -110,7 +110,7 @@ fn expect_finite(camera: &Camera) {
     assert!(k.fx > 0.0 && k.fy > 0.0 && k.width > 0 && k.height > 0, "{camera:?}");
 }
 
-/// Parses a COLMAP model of two valid files and `bytes`. The first byte selects the file that the other bytes replace.
+/// Parses a COLMAP model. The first byte selects one of its three files, which consists of the other bytes; the other two files are valid.
 fn colmap(encoding: Encoding, names: [&str; 3], bytes: &[u8]) -> Result<()> {
     let (&which, bytes) = bytes.split_first().unwrap_or((&0, &[]));
     let mut files = seeds::sparse_files(encoding == Encoding::Binary).each_ref().map(Vec::as_slice);
@@ -128,9 +128,9 @@ fn ply(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Memory limit of a picture: pixels of 8 bytes during decoding and of 4 afterwards, the coefficients of a progressive JPEG, and the
-/// decoder's own buffers. Decoders allocate a chunk of a WebP file, whose length has 24 bits, and a tile of a TIFF file before they read
-/// it.
+/// Returns the memory limit of a picture: 8 bytes per pixel during decoding and 4 afterwards, the coefficients of a progressive JPEG, and
+/// the decoder's own buffers. Decoders allocate a whole chunk of a WebP file, whose length has 24 bits, or a whole tile of a TIFF file
+/// before they read it.
 fn picture(bytes: &[u8]) -> usize {
     let size = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok();
     let size = size.and_then(|reader| reader.into_dimensions().ok()).unwrap_or((0, 0));
@@ -144,7 +144,7 @@ fn picture(bytes: &[u8]) -> usize {
     }
 }
 
-/// The bytes as text. `None` if they are not UTF-8; the programs refuse such a file when they read it.
+/// Returns the bytes as text, or `None` if they are not UTF-8: the program refuses such a file when it reads it.
 fn text(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes).ok()
 }
@@ -189,7 +189,7 @@ fn csv(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Lines that are no events are skipped, because a killed run may end with a torn line.
+/// Reads events. Lines that are no events are skipped, because a killed run may end in the middle of a line.
 fn events(bytes: &[u8]) -> Result<()> {
     let history = History::of(&events_of(bytes));
     history.best_known();

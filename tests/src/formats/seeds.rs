@@ -28,7 +28,8 @@ use trimip_data::settings::DataConfig;
 const POSE: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.1], [0.0, 0.0, -1.0, -4.0], [0.0, 1.0, 0.0, 0.3], [0.0, 0.0, 0.0, 1.0]];
 
-/// Two archives: one with a folder, an entry that is skipped, stored and compressed files; and a smaller one.
+/// Returns two archives: one with a folder, stored and compressed files, and an entry that the reader skips; and a
+/// smaller one.
 pub(super) fn archives() -> Vec<Vec<u8>> {
     let camera = br#"{"camera_angle_x": 0.7, "frames": []}"#;
     let scene = [
@@ -41,7 +42,7 @@ pub(super) fn archives() -> Vec<Vec<u8>> {
     vec![zip::archive(&scene), zip::archive(&scene[3..])]
 }
 
-/// Further files of a kind of camera files, in addition to the example of its reader.
+/// Returns additional camera files of a kind; the reader itself provides one example.
 pub(super) fn of_cameras(kind: &str) -> Vec<Vec<u8>> {
     match kind {
         "transforms" => transforms(),
@@ -95,7 +96,7 @@ fn metadata() -> Vec<Vec<u8>> {
     vec![written.clone(), full.to_string().into_bytes()]
 }
 
-/// A COLMAP model with one image per camera model, five features per image, and five points.
+/// Returns a COLMAP model with one image per camera model, five features per image, and five points.
 pub fn sparse() -> Sparse {
     let mut sparse = colmap::capture();
     sparse.images.iter_mut().for_each(|image| image.5.truncate(5));
@@ -109,7 +110,7 @@ pub(super) fn sparse_files(binary: bool) -> &'static [Vec<u8>; 3] {
     &both[usize::from(binary)]
 }
 
-/// The three files, each preceded by its number.
+/// Returns the three files of a COLMAP model, each preceded by a byte with its number.
 pub(super) fn colmap(binary: bool) -> Vec<Vec<u8>> {
     (0..).zip(sparse_files(binary)).map(|(which, file)| [&[which][..], file].concat()).collect()
 }
@@ -209,7 +210,7 @@ pub(super) fn paths() -> Vec<Vec<u8>> {
     files
 }
 
-/// The smallest configuration.
+/// Returns the smallest configuration.
 fn tiny() -> Config {
     let mut settings = trimip::settings::defaults();
     for assignment in [
@@ -230,8 +231,8 @@ fn tiny() -> Config {
     Config::from_settings(&settings).expect("the configuration is valid")
 }
 
-/// Tensors of a model of `config` with its initial parameters, once per suffix; with several suffixes, occupancy
-/// densities too.
+/// Returns the initial parameters of a model of `config` as tensors, once per suffix of their names. If there are
+/// several suffixes, the densities of the occupancy grid follow.
 fn tensors(config: &Config, suffixes: &[&str]) -> TensorFile {
     let layout = Layout::new(config);
     let values = layout.initial(config);
@@ -245,7 +246,7 @@ fn tensors(config: &Config, suffixes: &[&str]) -> TensorFile {
     file
 }
 
-/// The bytes that `write` puts into a file.
+/// Returns the bytes that `write` writes to a file.
 fn written(write: impl FnOnce(&std::path::Path) -> trimip_core::Result<u64>) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("file");

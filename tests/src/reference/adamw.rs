@@ -2,13 +2,14 @@
 
 use trimip_core::config::OptimizerConfig;
 
-/// Lines 6 and 7: both moments after a gradient.
+/// Returns both moments after a gradient (lines 6 and 7).
 pub fn moments(config: &OptimizerConfig, [m, v]: [f64; 2], gradient: f64) -> [f64; 2] {
     let OptimizerConfig { beta1, beta2, .. } = *config;
     [beta1 * m + (1.0 - beta1) * gradient, beta2 * v + (1.0 - beta2) * gradient * gradient]
 }
 
-/// Lines 8 to 12: the change of a parameter due to the moments of step `step` (from 1), and its decay.
+/// Returns the change of a parameter due to the moments of step `step` (from 1), and that due to weight decay (lines 8
+/// to 12).
 pub fn changes(
     config: &OptimizerConfig,
     [rate, decay]: [f64; 2],

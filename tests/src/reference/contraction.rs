@@ -1,13 +1,13 @@
-//! Contracted space written from its equations (mip-NeRF 360, Eq. 10), in f64. u is a point relative to the ball's centre,
-//! in radii, n = |u|.
+//! Contracted space written from its equations (mip-NeRF 360, Eq. 10), in f64. u is a point relative to the ball's centre, in
+//! units of the ball's radius; n = |u|.
 
 use super::sample::{Sample, apex, radius as radius_at, step_length};
 use trimip_core::{Config, engine::batch::Ray};
 
-/// Distance at which rays end, in radii.
+/// Distance at which rays end, in units of the radius.
 const FARTHEST: f64 = 1000.0;
 
-/// Centre and radius of the ball: the middle of the cube, and a quarter of its side.
+/// Returns the centre and the radius of the ball: the middle of the cube, and a quarter of its side.
 fn ball(config: &Config) -> ([f64; 3], f64) {
     let [low, high] = [config.scene.aabb_min, config.scene.aabb_max].map(|corner| corner.map(f64::from));
     ([0, 1, 2].map(|i| 0.5 * (low[i] + high[i])), 0.25 * (high[0] - low[0]))
@@ -17,20 +17,21 @@ fn norm(u: [f64; 3]) -> f64 {
     u.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// contract(u) = u for n ≤ 1, (2 − 1/n)·u/n otherwise; the cube reaches from −2 to 2.
+/// Returns the contracted point in the unit cube: contract(u) = u for n ≤ 1, (2 − 1/n)·u/n otherwise. The contracted cube spans
+/// −2 to 2.
 fn position(u: [f64; 3]) -> [f64; 3] {
     let n = norm(u);
     let contracted = if n <= 1.0 { u } else { u.map(|x| (2.0 - 1.0 / n) * (x / n)) };
     contracted.map(|x| (x + 2.0) / 4.0)
 }
 
-/// A ray relative to the ball.
+/// A ray relative to the ball, and its parameter s as a function of the distance t.
 struct RayParameter {
     origin: [f64; 3],
     direction: [f64; 3],
-    /// Distance of the nearest point, radii.
+    /// Distance along the ray of its point nearest to the ball's centre, in radii.
     middle: f64,
-    /// Distance of that point from the centre, radii.
+    /// Distance of that point from the centre, in radii.
     nearest: f64,
     reach: f64,
     speed: f64,
@@ -47,7 +48,7 @@ impl RayParameter {
         Self { origin, direction, middle, nearest, reach, speed: (2.0 * reach - 1.0) / (reach * reach) }
     }
 
-    /// dt/ds at a distance, by a central difference.
+    /// Returns dt/ds at distance t, by a central difference.
     fn slowness(&self, t: f64) -> f64 {
         let h = 1e-6 * t.max(1e-3);
         2.0 * h / (self.parameter(t + h) - self.parameter(t - h))
@@ -57,14 +58,14 @@ impl RayParameter {
         [0, 1, 2].map(|i| self.origin[i] + t * self.direction[i])
     }
 
-    /// s of a distance in radii: speed·reach·c(m), c(m) = m for |m| ≤ 1, sign(m)·(2 − 1/|m|) otherwise.
+    /// Returns s at distance t in radii: speed·reach·c(m) with c(m) = m for |m| ≤ 1, sign(m)·(2 − 1/|m|) otherwise.
     fn parameter(&self, t: f64) -> f64 {
         let m = (t - self.middle) / self.reach;
         let c = if m.abs() <= 1.0 { m } else { m.signum() * (2.0 - 1.0 / m.abs()) };
         self.speed * self.reach * c
     }
 
-    /// The distance of a parameter, by bisection.
+    /// Returns the distance t of a parameter s, by bisection.
     fn distance(&self, s: f64) -> f64 {
         let (mut low, mut high) = (-1e-9, 3.0 * FARTHEST);
         for _ in 0..200 {
@@ -77,15 +78,15 @@ impl RayParameter {
 
 /// A step of a ray through contracted space.
 pub struct Step {
-    /// The sample at its middle. Its length is contracted along the line to the centre: ds·(dt/ds)/n².
+    /// The sample at the middle of the step. Its length is scaled by the radial derivative of the contraction: ds·(dt/ds)/n².
     pub sample: Sample,
-    /// World length, ds·(dt/ds).
+    /// Length in world units, ds·(dt/ds).
     pub length: f64,
-    /// Parameter at the end of the ray minus the parameter at the middle of the step.
+    /// Parameter at the end of the ray minus the parameter at the middle of the step, in world units.
     pub left: f64,
 }
 
-/// All steps of a ray through contracted space.
+/// Returns all steps of a ray through contracted space.
 pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
     let (_, radius) = ball(config);
     let parameterisation = RayParameter::new(config, ray);
@@ -117,7 +118,8 @@ pub fn march(config: &Config, ray: &Ray) -> Vec<Step> {
     steps
 }
 
-/// Place and width of a sample as parameters of its ray, in units of the cube's side: s/4, and (ds/dt)·n²·length/4.
+/// Returns the midpoint and the width of a sample as parameters of its ray, in units of the cube's side: s/4 and
+/// (ds/dt)·n²·length/4.
 pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
     let (_, radius) = ball(config);
     let parameterisation = RayParameter::new(config, ray);

@@ -1,14 +1,15 @@
-//! Positional encodings from their equations: NeRF Eq. 4 without π, and mip-NeRF Eq. 7, 8, 13 and 14 with a full covariance.
+//! Positional encodings from their equations: NeRF Eq. 4 without the factor π; mip-NeRF Eq. 7, 8, 13 and 14 with a full
+//! covariance.
 
 use super::sample::{Literal, Sample};
 use glam::{DMat3, DVec3};
 use trimip_core::Config;
 
-/// The encoding.
+/// The positional encoding.
 pub struct Frequencies(Config);
 
 impl Frequencies {
-    /// The encoding of a configuration.
+    /// Creates the encoding of a configuration.
     pub fn new(config: &Config) -> Self {
         Self(config.clone())
     }
@@ -21,7 +22,7 @@ impl Literal for Frequencies {
         let middle = (DVec3::from(sample.position) - 0.5) * (max - min);
         let (mut mean, mut covariance) = (middle, DMat3::ZERO);
         if settings.integrated {
-            // s and h are the middle and half the length of the interval, r the radius at distance 1.
+            // s is the middle of the interval, h half of its length, and r the radius at distance 1.
             let (s, h) = (sample.apex, (0.5 * sample.length).min(sample.apex));
             let disc = 1.0 / std::f64::consts::PI.sqrt();
             let r = sample.radius / s * (2.0 / 12_f64.sqrt()) / disc;

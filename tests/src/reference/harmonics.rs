@@ -6,14 +6,14 @@ use std::f64::consts::PI;
 const LEGENDRE: [[f64; 4]; 4] =
     [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-0.5, 0.0, 1.5, 0.0], [0.0, -1.5, 0.0, 2.5]];
 
-/// The 16 harmonics of degree 0 to 3 at a unit direction: l from 0, m from −l to l.
+/// Returns the 16 harmonics of degrees 0 to 3 at a unit direction: l from 0, m from −l to l.
 pub fn harmonics([x, y, z]: [f64; 3]) -> Vec<f64> {
     let degrees = (0..4_i32).flat_map(|l| (-l..=l).map(move |m| (l, m)));
     degrees
         .map(|(l, m)| {
             let order = m.unsigned_abs();
             let mut polynomial = LEGENDRE[l as usize].to_vec();
-            // sin^|m| θ·cos |m|φ and sin^|m| θ·sin |m|φ.
+            // `real` is sin^|m| θ·cos |m|φ, `imaginary` is sin^|m| θ·sin |m|φ.
             let (mut real, mut imaginary) = (1.0, 0.0);
             for _ in 0..order {
                 let rest = polynomial.iter().enumerate().skip(1);

@@ -1,5 +1,5 @@
-//! The multiresolution hash grid written from its equations (Müller et al. 2022): per level, the eight corners of the
-//! cell around a position, one after the other.
+//! The multiresolution hash grid written from its equations (Müller et al. 2022): each level reads the eight corners of
+//! the cell around a position, one after the other.
 
 use super::sample::{Literal, Sample};
 use glam::DVec3;
@@ -13,14 +13,15 @@ pub struct HashGrid {
 }
 
 impl HashGrid {
-    /// `table`: the entries of all levels, coarse to fine, `features` values each.
+    /// Creates a hash grid; `table` holds the entries of all levels, coarse to fine, with `features` values each.
     pub fn new(config: &Config, table: Vec<f64>) -> Self {
         let side =
             |axis: usize| f64::from(config.scene.aabb_max[axis]) - f64::from(config.scene.aabb_min[axis]);
         Self { config: config.hash_grid.clone(), extent: [0, 1, 2].map(side), table }
     }
 
-    /// Number of cells across the box minus one, corners along a side, and entries of a level.
+    /// Returns the scale of a level (its resolution minus one), the number of corners along a side, and the number of
+    /// entries.
     fn level(&self, level: u32) -> (f64, u64, u64) {
         let HashGridConfig { levels, coarsest, finest, log2_entries, .. } = self.config;
         let growth = if levels > 1 {
@@ -36,7 +37,7 @@ impl HashGrid {
     }
 }
 
-/// erf(x) by its Maclaurin series, or by its continued fraction for large x.
+/// Returns erf(x): by the Maclaurin series, or by the continued fraction for large x.
 fn erf(x: f64) -> f64 {
     let unit = 2.0 / std::f64::consts::PI.sqrt();
     if x < 3.0 {
@@ -52,8 +53,8 @@ fn erf(x: f64) -> f64 {
 }
 
 impl HashGrid {
-    /// Points of a sample in the unit cube, and their standard deviations in units of the box's longest side (Zip-NeRF,
-    /// Section 2).
+    /// Returns the points at which a sample reads the grid, in the unit cube, and their standard deviations in units of
+    /// the box's longest side (Zip-NeRF, Section 2).
     fn points(&self, sample: &Sample) -> Vec<([f64; 3], f64)> {
         let longest = self.extent.into_iter().fold(0.0, f64::max);
         let deviation = |radius: f64| 0.5 * radius / 2_f64.sqrt() / longest;
@@ -61,8 +62,8 @@ impl HashGrid {
             return vec![(sample.position, deviation(sample.radius))];
         }
         let d = DVec3::from(sample.direction);
-        // Two directions perpendicular to the ray (Duff et al. 2017): x and y under the rotation that turns z or −z
-        // into the ray.
+        // Two directions perpendicular to the ray (Duff et al. 2017): the images of x and y under the rotation that
+        // turns z or −z into the ray.
         let sign = if d.z < 0.0 { -1.0 } else { 1.0 };
         let turned = |e: DVec3| {
             let axis = DVec3::Z * sign + d;

@@ -1,4 +1,4 @@
-//! The loss by the equations of its registered terms, in f64. A term's equation is part of its definition in core.
+//! The loss in f64, from the equations of its registered terms. The equation of a term is part of its definition in core.
 
 use super::contraction;
 use super::sample::Sample;
@@ -9,8 +9,8 @@ use trimip_core::{
     field::losses::{ADJUSTMENTS, ConeSamples, Definition, PIXEL_TERMS, RAY_TERMS, RaySample},
 };
 
-/// Place and width of a sample in units of the longest side of the box: distance and length in bounded space, parameters of
-/// the ray in contracted space.
+/// Returns the midpoint and the width of a sample along the ray, in units of the longest side of the box: distance and length in
+/// bounded space, ray parameters in contracted space.
 pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
     if config.scene.contraction == Contraction::Ball {
         return contraction::along(config, ray, sample);
@@ -20,13 +20,13 @@ pub fn along(config: &Config, ray: &Ray, sample: &Sample) -> [f64; 2] {
     [sample.t / longest, sample.length / longest]
 }
 
-/// A sample of optical depth `depth`, as the ray terms of the loss read it.
+/// Returns a sample of optical depth `depth` in the form that the ray terms of the loss read.
 pub fn ray_sample(config: &Config, ray: &Ray, sample: &Sample, depth: f64) -> RaySample<f64> {
     let [place, width] = along(config, ray, sample);
     RaySample { depth, t: sample.t, length: sample.length, place, width }
 }
 
-/// The colour that a photograph shows of a pixel [r, g, b, opacity]: P·A^γ + (1 − A)·background.
+/// Returns the colour of a pixel [r, g, b, opacity] with the photograph's edge exponent: P·A^γ + (1 − A)·background.
 pub fn shown(pixel: [f64; 4], target: &Target) -> [f64; 3] {
     let [rgb @ .., opacity] = pixel;
     let factor = opacity.max(1e-4).powf(target.exponent.into());
@@ -36,7 +36,7 @@ pub fn shown(pixel: [f64; 4], target: &Target) -> [f64; 3] {
     })
 }
 
-/// Loss of a pixel [r, g, b, opacity] of a photograph with `gains`, before it is multiplied by the weight of the pixel's
+/// Returns the loss of a pixel [r, g, b, opacity] of a photograph with the exposure `gains`, without the weight of the pixel's
 /// area.
 pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 3]) -> f64 {
     let loss = &config.loss;
@@ -51,8 +51,8 @@ pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 
     (0..3).map(channel).sum::<f64>() / 3.0 + others.sum::<f64>()
 }
 
-/// Ray terms of a pixel: the mean over its cones, without the weight of the pixel's area. A cone without samples adds
-/// nothing.
+/// Returns the ray terms of a pixel: their mean over the pixel's cones, without the weight of the pixel's area. A cone without
+/// samples counts as zero.
 pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
     let at_work = RAY_TERMS.iter().filter(|term| weight(**term, config) > 0.0);
     let of = |term: &&dyn trimip_core::field::losses::RayTerm| {

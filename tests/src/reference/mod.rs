@@ -1,6 +1,6 @@
-//! The model written from its equations, in f64, slow and simple: no packing, no skipping, no fused form. Positions are
-//! in the unit box, radii and distances in world units. σ is density, δ interval, T transmittance, α opacity of a
-//! sample.
+//! The model written from its equations in f64, slow and simple: no packing, no skipping, no fused operations. Positions are in
+//! the unit box, radii and distances in world units. σ is the density of a sample, δ the length of its interval, T its
+//! transmittance, α its opacity.
 
 mod adamw;
 pub mod contraction;
@@ -42,7 +42,7 @@ pub struct Reference {
     color: Vec<Layer>,
 }
 
-/// A linear layer with weights [inputs, outputs]. Its biases are empty if it has none.
+/// A linear layer with weights [inputs, outputs]; `biases` is empty if the layer has none.
 struct Layer {
     outputs: usize,
     weights: Vec<f64>,
@@ -91,15 +91,15 @@ impl Reference {
         Self { encoder, density: network("density"), color: network("color"), config: config.clone() }
     }
 
-    /// Features of a sample.
+    /// Returns the features of a sample.
     pub fn features(&self, sample: &Sample) -> Vec<f64> {
         self.encoder.features(sample)
     }
 
-    /// The density network's outputs: the logit, then the geometry features.
+    /// Returns the density network's outputs: the logit, then the geometry features.
     pub fn geometry(&self, features: &[f64]) -> Vec<f64> {
         if self.config.encoder.kind == EncoderKind::Tensor {
-            // σ is a function of the sum of the density features; a matrix maps the features of colour (TensoRF).
+            // TensoRF: σ is a function of the sum of the density features; a matrix maps the colour features.
             let (density, color) = features.split_at(Tensor::density_features(&self.config));
             return [vec![density.iter().sum()], network(&self.density, color, None)].concat();
         }
@@ -110,7 +110,7 @@ impl Reference {
         network(&self.density, features, (joined > 0).then_some(joined))
     }
 
-    /// Density from the logit.
+    /// Returns the density that follows from the logit, the first of `geometry`.
     pub fn density(&self, geometry: &[f64]) -> f64 {
         let field = &self.config.field;
         let x = geometry[0] - f64::from(field.density_shift);
@@ -122,7 +122,7 @@ impl Reference {
             }
     }
 
-    /// Colour in a unit direction.
+    /// Returns the colour in a unit direction.
     pub fn color(&self, geometry: &[f64], direction: [f64; 3]) -> [f64; 3] {
         if self.config.encoder.kind == EncoderKind::Voxels {
             return [1, 2, 3].map(|c| (geometry[c] + 0.5).max(0.0));
@@ -140,7 +140,7 @@ impl Reference {
         [0, 1, 2].map(|c| 1.0 / (1.0 + (-logits[c]).exp()))
     }
 
-    /// Density of each of a ray's samples.
+    /// Returns the density of each sample of a ray.
     pub fn densities(&self, samples: &[Sample]) -> Vec<f64> {
         let density = |s: &Sample| self.density(&self.geometry(&self.features(s)));
         samples.iter().map(density).collect()
@@ -165,7 +165,7 @@ impl Reference {
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
     }
 
-    /// Replaces colours by black where a sample's weight is below `renderer.color_weight`.
+    /// Replaces the colour of a sample with black where its weight is below `renderer.color_weight`.
     fn without_faint(&self, samples: &[Sample], radiance: Vec<(f64, [f64; 3])>) -> Vec<(f64, [f64; 3])> {
         let least = self.config.renderer.color_weight.at(1.0);
         let depth = |k: usize| radiance[k].0 * samples[k].length;
@@ -174,9 +174,9 @@ impl Reference {
         (0..samples.len()).map(|i| (radiance[i].0, shown(i))).collect()
     }
 
-    /// The loss over pixels with the given cones and kept samples: Σ weight·(photometric term + pixel terms + ray terms),
-    /// divided by Σ weight of the pixels that count. A pixel is the mean of its cones, shown with the edge exponent of its
-    /// photograph, at gains of 1.
+    /// Returns the loss over pixels with the given cones and kept samples: Σ weight·(photometric term + pixel terms + ray terms),
+    /// divided by Σ weight. With `LossRays::Live`, both sums leave out pixels without samples. A pixel is the mean of its cones,
+    /// with the edge exponent of its photograph and exposure gains of 1.
     pub fn loss(&self, pixels: &[(Target, Vec<KeptCone>)]) -> f64 {
         let (config, mut loss, mut weights) = (&self.config, 0.0, 0.0);
         let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss, 0.0).is_empty();
@@ -202,7 +202,7 @@ impl Reference {
         loss / weights
     }
 
-    /// The samples of a ray with their optical depths, as the ray terms of the loss read them.
+    /// Returns the samples of a ray with their optical depths, in the form that the ray terms of the loss read.
     fn ray_samples(&self, ray: &Ray, samples: &[Sample]) -> Vec<RaySample<f64>> {
         let of = |(sample, density): (&Sample, &f64)| {
             loss::ray_sample(&self.config, ray, sample, density * sample.length)
@@ -211,7 +211,7 @@ impl Reference {
     }
 }
 
-/// x, and sin and cos of 2^k x for each k below `count` (NeRF, Eq. 4, without π).
+/// Returns the values x, and the sin and cos of 2^k·x for each k below `count` (NeRF, Eq. 4, without the factor π).
 fn frequencies(values: &[f64], count: u32) -> Vec<f64> {
     let mut all = values.to_vec();
     for k in 0..count {
@@ -222,7 +222,7 @@ fn frequencies(values: &[f64], count: u32) -> Vec<f64> {
     all
 }
 
-/// Linear layers with ReLU between them. Layer `joined` also reads the input.
+/// Evaluates linear layers with ReLU between them. Layer `joined` also reads the input (a skip connection).
 fn network(layers: &[Layer], input: &[f64], joined: Option<usize>) -> Vec<f64> {
     let mut values = input.to_vec();
     for (i, layer) in layers.iter().enumerate() {
@@ -241,7 +241,7 @@ fn network(layers: &[Layer], input: &[f64], joined: Option<usize>) -> Vec<f64> {
     values
 }
 
-/// C = Σ T·α·c + (1 − Σ T·α)·background with T_i = exp(−Σ_{k<i} σ_k·δ_k), α = 1 − exp(−σ·δ).
+/// Composites samples: C = Σ T·α·c + (1 − Σ T·α)·background with T_i = exp(−Σ_{k<i} σ_k·δ_k), α = 1 − exp(−σ·δ).
 pub fn composite(
     samples: &[Sample],
     radiance: &[(f64, [f64; 3])],
@@ -264,7 +264,7 @@ pub fn composite(
     result
 }
 
-/// Distances at which a ray enters the box (not before its origin) and leaves it.
+/// Returns the distances at which a ray enters the box (at least 0) and leaves it.
 pub fn tile(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f64, f64)> {
     let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
@@ -283,8 +283,8 @@ pub fn tile(config: &Config, origin: [f64; 3], direction: [f64; 3]) -> Option<(f
     (enter < leave).then_some((enter, leave))
 }
 
-/// World length of a ray's step: the uniform step times its scale at `progress`, and at least the configured number of
-/// sphere radii at the midpoint between entering and leaving the box.
+/// Returns the world length of a ray's step: the uniform step times its scale at `progress`, but at least the configured number
+/// of sphere radii at the midpoint between entering and leaving the box.
 pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
     let uniform = step_length(config) * config.renderer.step_scale.at(progress);
     let (enter, leave) =
@@ -293,7 +293,7 @@ pub fn ray_step(config: &Config, ray: &Ray, progress: f64) -> f64 {
     uniform.max(f64::from(config.renderer.step_per_radius) * radius)
 }
 
-/// The midpoints of all uniform steps in the box, delayed by `offset` of a step, at which `occupied` is true.
+/// Returns samples at the midpoints of those uniform steps in the box, delayed by `offset` of a step, where `occupied` is true.
 pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]) -> bool) -> Vec<Sample> {
     let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
     let mut samples = Vec::new();
@@ -316,9 +316,10 @@ pub fn march(config: &Config, ray: &Ray, offset: f64, occupied: impl Fn([f64; 3]
     samples
 }
 
-/// Kept samples of a ray, and the margin of the closest decision: the smallest |ln T − ln T_min| or |ln w − ln w_min|. A sample
-/// is kept if the transmittance before it, and its weight joined with the dropped samples since the last kept one, reach the
-/// configured minima. A kept sample is its index and the multiple of its own length that it represents.
+/// Returns the kept samples of a ray, and the margin of the closest decision: the smallest |ln T − ln T_min| or
+/// |ln w − ln w_min|. A sample is kept if the transmittance in front of it and its weight both reach the configured minima; the
+/// weight includes the samples that were dropped since the last kept one. A kept sample is returned as its index and the factor
+/// by which its length grows to represent those samples.
 pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<(usize, f64)>, f64) {
     let [least, lightest] =
         [config.renderer.min_transmittance, config.renderer.min_weight].map(|limit| f64::from(limit).ln());
@@ -342,8 +343,8 @@ pub fn visible(config: &Config, samples: &[Sample], densities: &[f64]) -> (Vec<(
     (kept, margin)
 }
 
-/// Number of leading samples before which the transmittance is at least the configured minimum, and the margin of the decision:
-/// the smallest |ln T − ln T_min| over the samples.
+/// Returns the number of leading samples in front of which the transmittance is at least the configured minimum, and the margin
+/// of the decision: the smallest |ln T − ln T_min| over the samples.
 pub fn kept(config: &Config, samples: &[Sample], densities: &[f64]) -> (usize, f64) {
     let limit = f64::from(config.renderer.min_transmittance).ln();
     let (mut log_transmittance, mut margin) = (0.0_f64, f64::INFINITY);

@@ -16,13 +16,13 @@ struct Plane {
     axes: [[f64; 3]; 2],
     /// World width of the plane along each axis, around the middle of the box.
     widths: [f64; 2],
-    /// Columns and rows.
+    /// Number of columns and of rows.
     sides: [usize; 2],
-    /// [rows, columns, 16].
+    /// Texels at level (0, 0), as [rows, columns, 16].
     texels: Vec<f64>,
 }
 
-/// Normals of the planes, not normalised.
+/// Returns the normals of the planes; they are not of unit length.
 fn normals(planes: u32) -> Vec<[f64; 3]> {
     let phi = (1.0 + 5_f64.sqrt()) / 2.0;
     let inverse = 1.0 / phi;
@@ -62,7 +62,7 @@ fn unit(a: [f64; 3]) -> [f64; 3] {
 }
 
 impl RipMap {
-    /// `base`: level (0, 0) of the planes, one after the other.
+    /// Creates the planes; `base` holds their level (0, 0), one plane after the other.
     pub fn new(config: &Config, base: Vec<f64>) -> Self {
         let extent = extent(config);
         let texel = extent.into_iter().fold(0.0, f64::max) / f64::from(config.rip_map.size);
@@ -73,7 +73,7 @@ impl RipMap {
                 n if n == z => [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
                 n => [unit(cross(z, n)), unit(cross(n, cross(z, n)))],
             };
-            // The extent of the box's projection, in texels that halve evenly.
+            // A plane covers the projection of the box, with a number of texels that halves evenly at every level.
             let widths = axes.map(|axis| (0..3).map(|k| axis[k].abs() * extent[k]).sum::<f64>());
             let sides = widths.map(|width| {
                 let enough = (1..).map(|i: usize| i << (config.rip_map.levels - 1));
@@ -95,7 +95,8 @@ fn extent(config: &Config) -> [f64; 3] {
 }
 
 impl Plane {
-    /// A texel of level (i, j): the mean of 2^i by 2^j texels of the base; clamped at the border.
+    /// Returns a texel of level (i, j): the mean of 2^i by 2^j texels of the base. Coordinates are clamped at the
+    /// border.
     fn texel(&self, [i, j]: [usize; 2], column: f64, row: f64, channel: usize) -> f64 {
         let clamp = |at: f64, side: usize| at.clamp(0.0, side as f64 - 1.0) as usize;
         let (column, row) = (clamp(column, self.sides[0] >> i), clamp(row, self.sides[1] >> j));
@@ -108,7 +109,7 @@ impl Plane {
         sum / f64::from(1 << (i + j))
     }
 
-    /// One channel of a level at a place in [0, 1]².
+    /// Returns one channel of a level at a position in [0, 1]².
     fn bilinear(&self, levels: [usize; 2], at: [f64; 2], channel: usize) -> f64 {
         let [x, y] = [0, 1].map(|a| at[a] * (self.sides[a] >> levels[a]) as f64 - 0.5);
         let (column, row) = (x.floor(), y.floor());
@@ -142,7 +143,7 @@ impl Literal for RipMap {
                 let from_middle: [f64; 3] =
                     std::array::from_fn(|k| (sample.position[k] - 0.5) * extent[k] + mean * d[k]);
                 at[a] = dot(from_middle) / plane.widths[a] + 0.5;
-                // Σ = across (I − d dᵀ) + along d dᵀ; a level is log2(4σ / texel).
+                // Σ = across (I − d dᵀ) + along d dᵀ; a level is log2(4σ / texel), with σ² the variance along the axis.
                 let variance = across * (1.0 - dot(d).powi(2)) + along * dot(d).powi(2);
                 let texel = plane.widths[a] / plane.sides[a] as f64;
                 let level =

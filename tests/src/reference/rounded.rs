@@ -1,12 +1,12 @@
-//! The gradient of the loss by the chain rule. The factors of the layers' products are rounded as a backend rounds
-//! them; everything else is f64. A hidden unit that rounding switches off is off in the backend and in this reference
-//! alike, so the two differ only by the order of f32 sums.
+//! The gradient of the loss by the chain rule. The factors of the layers' products are rounded as in a backend;
+//! everything else is f64. A hidden unit that rounding switches off is therefore off in the backend and in this
+//! reference, and the two differ only in the order of f32 sums.
 
 use super::sample::Sample;
 use super::{Layer, Reference, harmonics};
 use trimip_core::engine::batch::{Ray, Target};
 
-/// The nearest bf16, ties to even, as processor instructions round; denormal f32 values become zero.
+/// Rounds to the nearest bf16, ties to even, as processor instructions do; denormal f32 values become zero.
 pub fn bf16(value: f64) -> f64 {
     let bits = (value as f32).to_bits();
     if value.abs() < f64::from(f32::MIN_POSITIVE) {
@@ -35,13 +35,13 @@ struct Network<'a> {
 }
 
 impl Network<'_> {
-    /// The rounding of a layer's factors.
+    /// Returns the function that rounds a layer's factors.
     fn rounding(&self, layer: usize) -> impl Fn(f64) -> f64 {
         let exact = layer + 1 == self.layers.len() && self.layers[layer].outputs <= FEW;
         move |value| if exact { value } else { (self.round)(value) }
     }
 
-    /// Inputs of every layer, then the output.
+    /// Returns the inputs of every layer, then the output.
     fn forward(&self, input: Vec<f64>) -> Vec<Vec<f64>> {
         let mut values = vec![input];
         for (i, layer) in self.layers.iter().enumerate() {
@@ -58,7 +58,7 @@ impl Network<'_> {
         values
     }
 
-    /// Gradients of the input, then of the outputs of every layer.
+    /// Returns the gradient with respect to the input, then those with respect to the outputs of every layer.
     fn backward(&self, values: &[Vec<f64>], by_output: Vec<f64>) -> Vec<Vec<f64>> {
         let mut gradients = vec![by_output];
         for (i, layer) in self.layers.iter().enumerate().rev() {
@@ -75,7 +75,7 @@ impl Network<'_> {
         gradients
     }
 
-    /// Adds inputᵀ·gradient to the weight gradient, from row `first` on.
+    /// Adds inputᵀ·gradient to the rows of the weight gradient, starting at row `first`.
     fn add(&self, layer: usize, first: usize, input: &[f64], by_output: &[f64], out: &mut [f64]) {
         let (round, outputs) = (self.rounding(layer), self.layers[layer].outputs);
         for (x, row) in input.iter().zip(out.chunks_exact_mut(outputs).skip(first)) {
@@ -85,10 +85,10 @@ impl Network<'_> {
 }
 
 impl Reference {
-    /// Loss and gradient of rays with given kept samples and the features of all samples in order. The features come
-    /// from a backend, because their last bits decide how some of them round. `round` rounds the factors of products.
-    /// The harmonics of a ray are multiplied by the sum of its samples' gradients, as on the CPU. `loss.opacity` is
-    /// taken as 0, and every ray with a sample counts.
+    /// Returns the loss and the gradient of rays with given kept samples. `features` holds the features of all samples
+    /// in order; they come from a backend, because their last bits decide how some of them round. `round` rounds the
+    /// factors of products. As on the CPU, the harmonics of a ray are multiplied by the sum of its samples' gradients.
+    /// `loss.opacity` is taken as 0, and every ray with a sample contributes.
     pub fn gradient(
         &self,
         rays: &[(Ray, Target, Vec<Sample>)],
@@ -163,7 +163,7 @@ impl Reference {
             }
             color.add(0, 0, &view, &by_view, &mut by_color[0]);
         }
-        // The division comes last, after every rounding.
+        // The gradients are divided by the sum of weights last, after all rounding.
         let layers = [by_density, by_color].concat();
         let mut result = Gradient { loss: loss / weights, layers, features: by_features };
         let features = result.features.iter_mut().map(|(_, gradient)| gradient);

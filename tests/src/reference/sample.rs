@@ -7,7 +7,7 @@ use trimip_core::{
 
 /// An encoder written from its equations.
 pub trait Literal {
-    /// Features of a sample.
+    /// Returns the features of a sample.
     fn features(&self, sample: &Sample) -> Vec<f64>;
 }
 
@@ -18,18 +18,18 @@ pub struct Sample {
     pub t: f64,
     /// Distance from the apex of the ray's cone.
     pub apex: f64,
-    /// Length of its interval, δ.
+    /// Length of the sample's interval, δ.
     pub length: f64,
-    /// Centre of its sphere in the unit box.
+    /// Centre of the sample's sphere in the unit box.
     pub position: [f64; 3],
-    /// Radius of its sphere, world units.
+    /// Radius of that sphere in world units.
     pub radius: f64,
-    /// Unit direction of its ray.
+    /// Unit direction of the ray.
     pub direction: [f64; 3],
 }
 
 impl Sample {
-    /// A backend's sample, in f64.
+    /// Converts a backend's sample to f64.
     pub fn new(ray: &Ray, interval: &Interval, sphere: &Sphere) -> Self {
         Self {
             t: interval.t.into(),
@@ -42,17 +42,18 @@ impl Sample {
     }
 }
 
-/// Radius of a ray's sphere at distance `t`.
+/// Returns the radius of a ray's sphere at distance `t`.
 pub fn radius(ray: &Ray, t: f64) -> f64 {
     f64::from(ray.radius) + f64::from(ray.slope) * t
 }
 
-/// Distance from the apex of the cone at distance `t` along the ray. A cylinder is a cone with a very distant apex.
+/// Returns the distance from the apex of the cone to the point at distance `t` along the ray. A cylinder counts as a
+/// cone with a very distant apex.
 pub fn apex(ray: &Ray, t: f64) -> f64 {
     if ray.radius > 0.0 { 1e5 * t } else { t }
 }
 
-/// World length of a marching step: longest side · √3 / steps.
+/// Returns the world length of a marching step: longest side · √3 / steps.
 pub fn step_length(config: &Config) -> f64 {
     let scene = &config.scene;
     let side = |axis: usize| f64::from(scene.aabb_max[axis]) - f64::from(scene.aabb_min[axis]);

@@ -1,15 +1,15 @@
-//! Factored tensors from their definition (Chen et al. 2022, Eq. 3 and 8). A VM component is the outer product of a matrix
-//! over two axes and a vector over the third; a CP component is that of three vectors. Both are interpolated linearly
-//! between grid points. The first and the last grid point lie on the border of the box.
+//! Factored tensors from their definition (Chen et al. 2022, Eq. 3 and 8). A VM component is the outer product of a matrix over
+//! two axes and a vector over the third; a CP component is the outer product of three vectors. Matrices and vectors are
+//! interpolated linearly between grid points. The first and the last grid point lie on the border of the box.
 
 use super::sample::{Literal, Sample};
 use trimip_core::Config;
 use trimip_core::config::Decomposition;
 
-/// The tensors.
+/// The density tensor and the colour tensor.
 pub struct Tensor {
     cp: bool,
-    /// Grid points along x, y and z.
+    /// Number of grid points along x, y and z.
     sides: [usize; 3],
     /// Matrices and vectors of the density tensor, then of the colour tensor.
     factors: Vec<Factors>,
@@ -22,7 +22,7 @@ struct Factors {
 }
 
 impl Tensor {
-    /// The tensors of full size; `slots` are the values of the encoder's slots.
+    /// Creates the tensors at their full size; `slots` holds the values of the encoder's slots.
     pub fn new(config: &Config, slots: Vec<Vec<f64>>) -> Self {
         let cp = config.tensor.decomposition == Decomposition::Cp;
         let side = config.tensor.sides.values().last().unwrap_or(0.0);
@@ -41,13 +41,13 @@ impl Tensor {
         Self { cp, sides, factors: factors.into() }
     }
 
-    /// Number of features that sum up to the logit of the density.
+    /// Returns the number of features whose sum is the logit of the density.
     pub fn density_features(config: &Config) -> usize {
         let copies = if config.tensor.decomposition == Decomposition::Cp { 1 } else { 3 };
         copies * config.tensor.density_components as usize
     }
 
-    /// Σ over grid points of an axis of the hat function around the point times `value` of the point.
+    /// Interpolates along an axis: returns the sum of `value` over grid points, weighted by their hat functions at `place`.
     fn along(&self, axis: usize, place: f64, value: impl Fn(usize) -> f64) -> f64 {
         let last = self.sides[axis] - 1;
         let hat = |i: usize| (1.0 - (place * last as f64 - i as f64).abs()).max(0.0);
@@ -60,7 +60,7 @@ impl Literal for Tensor {
         let [x, y, z] = self.sides;
         let mut features = Vec::new();
         for Factors { components, matrices, vectors } in &self.factors {
-            // Vectors are stored in the order z, y, x; matrices in the order xy, xz, yz, x or y along a row.
+            // Vectors are stored in the order z, y, x; matrices in the order xy, xz, yz, with the first axis along a row.
             let vector = |axis: usize, c: usize| {
                 let first = [z + y, z, 0][axis];
                 self.along(axis, position[axis], |i| vectors[(first + i) * components + c])

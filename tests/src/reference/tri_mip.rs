@@ -9,20 +9,20 @@ use trimip_core::{
 /// Channels of a texel.
 const CHANNELS: usize = 16;
 
-/// Axes of each plane: along a row of texels, and across rows.
+/// Axes of each plane: the one along a row of texels, then the one across rows.
 pub const AXES: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
 
 /// The planes and their parameters.
 pub struct TriMip {
     config: Config,
-    /// Per level: planes YZ, XZ, XY one after the other, [rows, columns, 16] each.
+    /// Texels of each level: planes YZ, XZ, XY one after the other, each as [rows, columns, 16].
     levels: Vec<Vec<f64>>,
     /// Number of texels along x, y and z at level 0.
     sides: [usize; 3],
 }
 
 impl TriMip {
-    /// `base`: the planes' level 0.
+    /// Creates the planes; `base` holds their level 0.
     pub fn new(config: &Config, base: Vec<f64>) -> Self {
         let encoder = &config.encoder;
         let sides = sides(config);
@@ -33,7 +33,8 @@ impl TriMip {
         Self { levels, sides, config: config.clone() }
     }
 
-    /// One channel of one level at (a, b): texel centres at (i + 0.5)/N, clamped at the border.
+    /// Returns one channel of a level at (a, b), interpolated between texel centres at (i + 0.5)/N, clamped at the
+    /// border.
     fn bilinear(&self, level: usize, plane: usize, a: f64, b: f64, channel: usize) -> f64 {
         let sides = self.sides.map(|side| side >> level);
         let [columns, rows] = AXES[plane].map(|axis| sides[axis]);
@@ -52,13 +53,14 @@ impl TriMip {
 }
 
 impl Literal for TriMip {
-    /// 48 features: planes YZ, XZ, XY, each trilinear between texels and levels; and the mean level over 4, within ±2.
+    /// Returns 48 features: planes YZ, XZ, XY, each trilinear between texels and levels. If `level_input` is set, the
+    /// mean level follows, divided by 4 and clamped to ±2.
     fn features(&self, &Sample { position, radius, .. }: &Sample) -> Vec<f64> {
         let (mut features, mut levels) = (Vec::new(), Vec::new());
         for (plane, [a, b]) in AXES.into_iter().enumerate() {
             let scene = &self.config.scene;
             let extent = |axis: usize| f64::from(scene.aabb_max[axis]) - f64::from(scene.aabb_min[axis]);
-            // Eq. 5: l = log2(r / r̈), r̈ = sqrt(extent_a·extent_b / (H·W·π)); the authors' code has r̈ = texel/2.
+            // Eq. 5: l = log2(r / r̈) with r̈ = sqrt(extent_a·extent_b / (H·W·π)); the authors' code has r̈ = texel/2.
             let area = extent(a) * extent(b) / (self.sides[a] * self.sides[b]) as f64;
             let base = match self.config.encoder.level {
                 LevelFormula::Paper => (area / std::f64::consts::PI).sqrt(),
@@ -80,7 +82,7 @@ impl Literal for TriMip {
     }
 }
 
-/// Downsamples by means of 2×2 texels; `sides` are the result's texels along x, y and z.
+/// Halves the resolution: a texel becomes the mean of 2×2 texels. `sides` are the result's texels along x, y and z.
 fn halved(fine: &[f64], sides: [usize; 3]) -> Vec<f64> {
     let mut coarse = Vec::new();
     let mut start = 0;
@@ -100,7 +102,8 @@ fn halved(fine: &[f64], sides: [usize; 3]) -> Vec<f64> {
     coarse
 }
 
-/// Texels along the box's axes at level 0: `plane_size` along each, or square texels in multiples that halve evenly.
+/// Returns the number of texels along the box's axes at level 0: `plane_size` along each axis, or as many square texels
+/// as cover the box, in multiples that halve evenly at every level.
 pub fn sides(config: &Config) -> [usize; 3] {
     let size = config.encoder.plane_size as usize;
     let extent =

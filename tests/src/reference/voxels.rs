@@ -1,14 +1,14 @@
-//! A grid of densities and spherical harmonics from its definition (Fridovich-Keil et al. 2022, Section 3). Both are
-//! interpolated trilinearly between grid points; the first and the last grid point lie on the border of the box. A colour is
-//! the sum of its coefficients times the basis in the direction of the ray.
+//! A grid of densities and spherical harmonics from its definition (Fridovich-Keil et al. 2022, Section 3). Densities and
+//! coefficients are interpolated trilinearly between grid points; the first and the last grid point lie on the border of the box.
+//! A colour is the sum of its coefficients times the basis in the direction of the ray.
 
 use super::harmonics;
 use super::sample::{Literal, Sample};
 use trimip_core::Config;
 
-/// The grid.
+/// The grid with its densities and coefficients.
 pub struct Voxels {
-    /// Grid points along x, y and z.
+    /// Number of grid points along x, y and z.
     sides: [usize; 3],
     harmonics: usize,
     density: Vec<f64>,
@@ -16,7 +16,7 @@ pub struct Voxels {
 }
 
 impl Voxels {
-    /// The grid of full size; `slots` are the values of the encoder's slots.
+    /// Creates the grid at its full size; `slots` holds the values of the encoder's slots.
     pub fn new(config: &Config, slots: Vec<Vec<f64>>) -> Self {
         let side = config.voxels.sides.values().last().unwrap_or(0.0);
         let length =

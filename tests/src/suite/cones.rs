@@ -1,4 +1,4 @@
-//! Pixels sampled by several cones: a pixel is the mean of its cones, and equal cones act as one.
+//! Tests of pixels with several cones: a pixel is the mean of its cones, and equal cones act as one.
 
 use super::Bench;
 use crate::fixtures::{TestRandom, lively, noise, small};
@@ -13,8 +13,8 @@ use trimip_core::{
     },
 };
 
-/// The cones of a subdivided pixel and those of a finer camera differ by roundings of 6e-8, which the networks' slope
-/// amplifies over about twenty samples.
+/// Largest difference of a pixel's value. The cones of a subdivided pixel and those of a finer camera differ by roundings of
+/// 6e-8, which the slope of the networks amplifies over about twenty samples.
 const PIXEL_TOLERANCE: f32 = 5e-4;
 
 /// A pixel with n·n cones is the mean of n·n pixels of a camera with n times the resolution.
@@ -69,8 +69,8 @@ pub fn parts<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A quincunx pixel is the mean of one pixel of five cameras: one in place, and four moved by a quarter of a pixel along
-/// both axes.
+/// A quincunx pixel is the mean of the same pixel in five pictures: one of the original camera, and four whose rays are moved by
+/// a quarter of a pixel along both axes.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -84,7 +84,7 @@ pub fn quincunx<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let mut trainer = Trainer::new(make(), &config, noise(1, 8, 1, 1))?;
         trainer.set_parameters(&parameters);
         trainer.occupy_all();
-        // The camera is moved so that (x, y) becomes the centre of each pixel.
+        // Shifts the principal point so that the ray of a pixel passes through (x, y) within it, not through (0.5, 0.5).
         let moved = Intrinsics { cx: intrinsics.cx + 0.5 - x, cy: intrinsics.cy + 0.5 - y, ..intrinsics };
         trainer.render(&Camera::look_at(moved, DVec3::new(2.0, -3.0, 1.5), DVec3::ZERO, DVec3::Z))
     };
@@ -101,8 +101,8 @@ pub fn quincunx<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// In a training step the cone rule sets the number of cones of every scale, up to the schedule's limit. The cones of a
-/// pixel tile it. Drawing part of a step gives the same part of the whole step.
+/// In a training step the cone rule sets the number of cones per pixel at each scale, up to the schedule's limit. The cones of a
+/// pixel tile it. Drawing a range of a step's pixels gives the same rays as drawing the whole step.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -134,7 +134,7 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let side = sides[level];
             assert_eq!((group.start, group.count), (next, side * side), "{progress}, scale {level}");
             next += group.count;
-            // The pixel's camera has the origin of its rays; the cones lie at the centres of a regular grid in the
+            // The camera of a pixel is the one at the origin of its rays; the cones lie at the centres of a regular grid in the
             // pixel.
             let own = &rays[group.range()];
             let place = |ray: &Ray, camera: &Camera| {
@@ -173,7 +173,7 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A group of n equal cones renders the same as one of them, and each cone has 1/n of its gradient.
+/// A group of n equal cones renders the same pixel as a single one, and each of its cones has 1/n of the single cone's gradient.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

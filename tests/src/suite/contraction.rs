@@ -1,4 +1,4 @@
-//! Unbounded space: samples against the literal equations, fog of known opacity, pictures against f64.
+//! Tests of unbounded space: samples match the literal equations, fog has its known opacity, pictures match the model in f64.
 
 use super::Bench;
 use crate::{
@@ -20,7 +20,7 @@ use trimip_core::{
 /// Distance to a cell's border, in unit-box coordinates, below which f32 and f64 may decide differently.
 const BORDER: f64 = 4e-6;
 
-/// A ball of radius 0.75 in the middle of a cube of side 3.
+/// Returns a configuration of unbounded space: a ball of radius 0.75 in the middle of a cube of side 3.
 pub fn configuration(resolution: u32) -> Config {
     let mut config = small();
     config.scene.contraction = Contraction::Ball;
@@ -37,8 +37,8 @@ fn model(config: &Config, parameters: &[f32]) -> Result<Model> {
     Ok(Model::new(config.clone(), file))
 }
 
-/// Samples have the distances, lengths, places and radii of the equations. Exactly the occupied steps have a sample, except
-/// near borders.
+/// Samples have the distances, lengths, positions and radii of the equations. Exactly the occupied steps have a sample, except
+/// near the borders of cells.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -74,7 +74,7 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                         let found = f64::from(found);
                         assert!((found - expected).abs() <= bound, "{sample:?}: {found}, not {expected}");
                     };
-                    // Ray parameters have an error of a few 1e-7, and a step is 1e-2. Far away, this error becomes a large
+                    // Ray parameters have an error of a few 1e-7, where a step is 1e-2. Far away, such an error is a large
                     // distance.
                     let off = 1e-4 * length;
                     close(interval.t, sample.t, off);
@@ -93,9 +93,9 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Fog of density σ, seen from the centre of the ball of radius r, has the opacity 1 − exp(−σ·(2 − 1/1000)·r) in front of
-/// what lies infinitely far away; about half of the optical depth lies within the ball. A query returns the density per
-/// world unit: σ within the ball, σ/n² beyond.
+/// Fog of density σ has the opacity 1 − exp(−σ·(2 − 1/1000)·r), seen from the centre of the ball of radius r to the end of the
+/// rays at 1000·r; about half of the optical depth lies within the ball. A query returns the density per world unit: σ within the
+/// ball, σ/n² at n radii from its centre.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -124,7 +124,7 @@ pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Pictures of a lively field, from within the ball and from outside, match the model in f64.
+/// Pictures of a field with varied densities, from within the ball and from outside, match the model in f64.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -153,7 +153,7 @@ pub fn exact<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The same scene far from the origin gives the same picture.
+/// A scene and its camera that are moved far from the origin give the same picture.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

@@ -1,4 +1,5 @@
-//! The distortion loss: the whole training step against finite differences, and its independence of the unit of length.
+//! Tests of the distortion loss: a whole training step matches finite differences, and the loss does not depend on the
+//! unit of length.
 
 use super::{
     gradients::of_a_step,
@@ -11,7 +12,7 @@ use trimip_core::{
     engine::batch::Interval,
 };
 
-/// Bounded and contracted spaces in which the distortion weighs more than the colour.
+/// Returns configurations of bounded and contracted space in which the distortion loss outweighs the colour loss.
 pub fn configurations() -> Vec<(&'static str, Config)> {
     let change = |name, change: &dyn Fn(&mut Config)| {
         let mut config = small();
@@ -20,7 +21,7 @@ pub fn configurations() -> Vec<(&'static str, Config)> {
         (name, config)
     };
     vec![
-        // One, one and nine cones at the three scales.
+        // Pixels have one, one and nine cones at the three scales.
         change("distortion of cones by scale", &|c| {
             (c.renderer.cones, c.renderer.cone_width) = (3, 0.3);
         }),
@@ -34,7 +35,7 @@ pub fn configurations() -> Vec<(&'static str, Config)> {
     ]
 }
 
-/// Loss and gradients of a training step against central differences of the reference.
+/// The loss and the gradients of a training step match central differences of the reference.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -42,7 +43,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     configurations().iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
 }
 
-/// Bounded and contracted space, in a box or a ball around the origin whose size is `scale` times the usual one.
+/// Returns bounded and contracted space around the origin, with a box or a ball `scale` times as large as usual.
 fn spaces(scale: f32, weight: f32) -> [Config; 2] {
     [Contraction::None, Contraction::Ball].map(|contraction| {
         let mut config = small();
@@ -52,7 +53,8 @@ fn spaces(scale: f32, weight: f32) -> [Config; 2] {
     })
 }
 
-/// A world eight times as large with an eighth of the density has the same loss. At a weight of 0 there is no loss.
+/// A world eight times as large with an eighth of the density has the same loss. With a weight of 0, the loss and its
+/// gradient are 0.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

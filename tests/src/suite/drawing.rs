@@ -1,5 +1,5 @@
-//! Drawing samples by the size of their gradients: which samples are drawn, how their gradients are scaled, the expectation of a whole
-//! step's gradient, and runs that draw samples.
+//! Tests of steps that draw samples by the size of their gradients: which samples are drawn, how their gradients are scaled, the
+//! expectation of a whole step's gradient, and runs that draw samples.
 
 use super::{Bench, training};
 use crate::fixtures::{TestRandom, every_encoder, lively, nerf_networks, noise, small};
@@ -15,16 +15,16 @@ use trimip_core::{
     math::rng::{Random, Sequence},
 };
 
-/// Rays of a step.
+/// Number of rays of a step.
 const RAYS: u32 = 96;
 
-/// Largest deviation of a mean of `values` values from its expectation, in standard deviations estimated from these values: the bound of
-/// Student's t that one of 10⁶ means exceeds.
+/// Returns the largest accepted deviation of a mean of `values` values from its expectation, in standard deviations estimated from these
+/// values: the bound of Student's t that one of 10⁶ means exceeds.
 fn largest_deviation(values: u64) -> f64 {
     if values < 100 { 8.0 } else { 5.3 }
 }
 
-/// Error of a gradient's sum in f32, relative to the size of its summands.
+/// Error of sums in f32, relative to the sum of the gradient's absolute values.
 const ROUNDING: f64 = 2e-6;
 
 fn configurations() -> Vec<Config> {
@@ -35,7 +35,7 @@ fn configurations() -> Vec<Config> {
     };
     let mut all = every_encoder();
     let mut nerf = nerf_networks();
-    // With NeRF's own function most of these samples have no density, and no gradient.
+    // With NeRF's own density function most of these samples would have no density, and no gradient.
     nerf.field.density = DensityFunction::Softplus;
     all.push(nerf);
     all.push(change(&|config| config.renderer.color_weight = Schedule::new(vec![[0.0, 0.02]])));
@@ -48,8 +48,9 @@ fn configurations() -> Vec<Config> {
     all
 }
 
-/// In every slot, the mean gradient over `draws` draws, at least 20, is the gradient of all samples. The two are compared along random
-/// directions, in units of the standard deviation of the mean. With a threshold below all norms, drawing changes no bit.
+/// In every slot, the mean gradient over `draws` draws (at least 20) is the gradient of all samples. The two are compared along random
+/// directions, in units of the standard deviation of the mean. With a threshold below the gradient norm of every sample, drawing changes
+/// no bit.
 ///
 /// # Errors
 /// When a step fails.
@@ -161,14 +162,14 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         stages.field.draw(tile, &draw, field_context, arrays);
         stages.renderer.keep_drawn(stream, &marks, samples, &mut drawn, &mut partial.sums);
     });
-    // The literal rule in f64.
+    // The rule for drawing, written literally in f64.
     let mut expected = Vec::new();
     let mut doubtful = 0;
     for ray in 0..rays {
         let mut sum = f64::from(draw.first(1000 + ray as u32));
         for row in ray * each..(ray + 1) * each {
             let (value, by) = (&radiance[row], &gradients[row]);
-            // The density is exp(logit − shift), whose derivative is itself.
+            // The density is exp(logit − shift), so its derivative with respect to the logit is the density itself.
             let by_logit = f64::from(by.density) * f64::from(value.density);
             let by_colors = [0, 1, 2].map(|c| {
                 let value = f64::from(value.rgb[c]);
@@ -210,7 +211,7 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A run draws all samples until its schedule begins, and then the scheduled fraction, within a tenth.
+/// A run draws all samples until its schedule begins, and then the scheduled fraction of them, to within 10 %.
 ///
 /// # Errors
 /// When a step fails.

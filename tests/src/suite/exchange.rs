@@ -20,10 +20,10 @@ use trimip_core::{
     field::tensors::Values,
 };
 
-/// Creates the exchange of a backend.
+/// A function that creates the exchange of a backend.
 type Make<'a, B> = &'a (dyn Fn(Arc<dyn Ranks>, &Config) -> Box<dyn Exchange<B>> + Sync);
 
-/// Configurations that cover every path from the gradient to the parameters.
+/// Returns configurations that cover every path from the gradient to the parameters.
 fn configurations() -> Result<Vec<Config>> {
     let mut all = vec![scheduled()?, exposed(), refined(), drawn()];
     for encoder in fixtures::every_encoder().into_iter().chain(fixtures::growing()) {
@@ -74,14 +74,14 @@ fn train<B: Backend>(
     })
 }
 
-/// True if two checkpoints have the same bits, counters included.
+/// Returns true if two checkpoints have the same bits, counters included.
 fn same(a: &Checkpoint, b: &Checkpoint) -> bool {
     let bits = |checkpoint: &Checkpoint| format!("{:?}", checkpoint.state);
     bits(a) == bits(b) && a.file == b.file
 }
 
-/// With any number of ranks, every rank has the bits of one process: parameters, moments, occupancy, gains and counters. A run can
-/// resume from a checkpoint with another number of ranks.
+/// With any number of ranks, every rank has the bits of a run in one process: parameters, moments, occupancy, gains and counters. A run
+/// can resume from a checkpoint of another number of ranks.
 ///
 /// # Errors
 /// When a step fails.
@@ -96,7 +96,7 @@ pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>)
                 assert!(same(&checkpoint, &whole), "{name}: {ranks} ranks");
             }
         }
-        // More ranks than the usual number of leaves, and not a power of two.
+        // Five ranks: more than the usual number of leaves, and not a power of two.
         let finer = Config { train: TrainConfig { leaves: 8, ..config.train.clone() }, ..config.clone() };
         let alone = train(&make, exchange, &finer, 0, None, 4)?.remove(0);
         for checkpoint in train(&make, exchange, &finer, 5, None, 4)? {
@@ -111,8 +111,8 @@ pub fn same_bits<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>)
     Ok(())
 }
 
-/// Ranks that add up their gradients keep the same bits and see every pixel of a step once. Their gradient is that of one process up
-/// to rounding. The test compares the first moments after one step, which are a multiple of the gradient.
+/// Ranks that sum their gradients have bit-identical checkpoints, and together they see every pixel of a step once. Their gradient is that
+/// of one process up to rounding: the test compares the first moments after one step, which are proportional to the gradient.
 ///
 /// # Errors
 /// When a step fails.
@@ -150,7 +150,7 @@ pub fn summed<B: Backend>(make: impl Fn() -> B + Sync) -> Result<()> {
 /// A rank that changes the length of the messages it receives in one `all_to_all`.
 struct Broken {
     ranks: Arc<Threads>,
-    /// Number of `all_to_all` calls before that one.
+    /// Number of `all_to_all` calls before the one with the changed messages.
     trades: AtomicUsize,
     change: fn(&mut Vec<u8>),
 }
@@ -189,8 +189,8 @@ impl Ranks for Broken {
     }
 }
 
-/// Messages that arrive with another length than sent end the run on every rank with a device error. If they carry partial gradients
-/// or their sums, no parameter moves.
+/// A message that arrives with a length other than the sent one ends the run on every rank with a device error. If the messages carry
+/// partial gradients or their sums, no parameter changes.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -206,7 +206,8 @@ pub fn broken<B: Backend>(make: impl Fn() -> B + Sync, exchange: Make<'_, B>) ->
     skipping.optimizer.untouched = Untouched::Skip;
     let whole =
         fixtures::every_encoder().into_iter().map(|encoder| fixtures::encoded(configuration(), &encoder));
-    // Exchanges of a step: its partial gradients; if planes are divided, also sums and changed texels, and moments at a checkpoint.
+    // A step exchanges its partial gradients. If planes are divided among the ranks, it also exchanges sums and changed texels, and a
+    // checkpoint exchanges moments.
     let mut cases: Vec<(Config, Make<'_, B>, usize)> = whole.map(|config| (config, exchange, 0)).collect();
     cases.extend((0..4).map(|all_to_all| (skipping.clone(), exchange, all_to_all)));
     cases.extend((0..2).map(|all_to_all| (configuration(), summed, all_to_all)));

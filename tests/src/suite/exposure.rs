@@ -1,4 +1,4 @@
-//! Exposure of photographs: derivatives of a whole step with respect to log-gains, and the effect of gains on a run.
+//! Tests of the exposure of photographs: derivatives of a whole step with respect to log-gains, and the effect of gains on a run.
 
 use super::training::{configuration, steps};
 use crate::fixtures::{lively, noise};
@@ -12,7 +12,7 @@ const PHOTOGRAPHS: usize = 3;
 /// Number of pixels of a step.
 const PIXELS: usize = 150;
 
-/// A configuration whose photographs have gains.
+/// Returns a configuration whose photographs have gains.
 pub fn exposed() -> Config {
     let mut config = configuration();
     config.loss.exposure = Exposure::Gain;
@@ -20,8 +20,8 @@ pub fn exposed() -> Config {
     config
 }
 
-/// The gradient of a whole step with respect to the log-gains is the slope of its loss, also where views of several scales
-/// belong to one photograph, and through the mean that is subtracted.
+/// The gradient of a whole step with respect to the log-gains is the slope of its loss. This includes photographs with views of
+/// several scales, and the mean of the log-gains, which is subtracted.
 ///
 /// # Errors
 /// When a step fails.
@@ -53,14 +53,14 @@ pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Opaque photographs, in which no background is visible.
+/// Returns opaque photographs, in which no background is visible.
 fn opaque() -> ViewSet {
     let mut views = noise(3, 16, 2, 2);
     views.pixels.iter_mut().for_each(|pixel| pixel[3] = 255);
     views
 }
 
-/// Gains that stay 1 change no bit of a run, gains that move do, and no model file contains gains.
+/// Gains that stay at 1 change no bit of a run, but gains that move change some. No model file contains gains.
 ///
 /// # Errors
 /// When a step fails.

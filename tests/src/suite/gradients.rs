@@ -1,4 +1,4 @@
-//! Gradients of the whole step against central differences of the reference loss: every slot, through every level.
+//! The gradients of a whole step match central differences of the reference loss, in every slot and through every mip level.
 
 use super::{Bench, wide};
 use crate::{
@@ -20,24 +20,23 @@ use trimip_core::{
     field::encoders,
 };
 
-/// Error of an entry, relative to the root mean square of its slot's checked entries (or to the entry itself if
-/// larger). Each of about 600 samples' terms is rounded to about 1e-6, and the roundings partly cancel. The rest is
-/// margin for another device's exp and log. A wrong factor anywhere is far larger.
+/// Largest error of an entry, relative to the root mean square of its slot's checked entries (or to the entry itself if that is larger).
+/// Each of about 600 samples' terms is rounded to about 1e-6, and the roundings partly cancel; the rest is margin for the exp and log of
+/// other devices. A wrong factor anywhere causes a far larger error.
 const GRADIENT_TOLERANCE: f64 = 5e-5;
 
-/// Distance of a slot's gradient from the bf16 reference's, relative to its size. Sums in f32 and f64 agree to 2e-7
-/// (measured with and without AVX2). A sum within this distance of the midpoint between two bf16 values may round to
-/// the other one. This is expected of one value in ten thousand, and moves one of several hundred terms by 2⁻⁸: 4e-5 of
-/// the slot for each. The tolerance allows five of them.
+/// Largest distance between a slot's gradient and the bf16 reference's, relative to its size. Sums in f32 and f64 agree to 2e-7 (measured
+/// with and without AVX2), so a sum that close to the midpoint between two bf16 values may round to the other value. That happens to about
+/// one value in ten thousand, and changes one of several hundred terms by 2⁻⁸: by 4e-5 of the slot. The tolerance allows five such values.
 const ROUNDED_TOLERANCE: f64 = 2e-4;
 
-/// Half width of a central difference: its error is h² of the third derivative, plus 1e-16/h of rounding.
+/// Half width h of a central difference: the error is h² times the third derivative, plus 1e-16/h of rounding.
 const STEP: f64 = 1e-5;
 
-/// Rays of the step.
+/// Number of rays of the step.
 const RAYS: u32 = 48;
 
-/// The step whose rays and jitter are used.
+/// Number of the training step whose rays and jitter are used.
 const TRAINING_STEP: u64 = 7;
 
 fn configurations() -> Vec<(&'static str, Config)> {
@@ -65,7 +64,7 @@ fn configurations() -> Vec<(&'static str, Config)> {
         change("opacity beside colour", &|c| c.loss.opacity = 0.7),
         change("pruned", &|c| c.renderer.min_transmittance = 0.3),
         change("four cones a pixel", &|c| c.renderer.cones = 2),
-        // One, one and nine cones at the three scales.
+        // Pixels have one, one and nine cones at the three scales.
         change("cones by scale, photographs of dark silhouettes", &|c| {
             (c.renderer.cones, c.renderer.cone_width) = (3, 0.3);
             c.data.edge_exponents = vec![0.0, 0.25, 0.5];
@@ -84,7 +83,7 @@ fn configurations() -> Vec<(&'static str, Config)> {
     all
 }
 
-/// Pixels of the step and their cones, with the samples that the reference's densities keep.
+/// The pixels of the step and their cones, with the samples that are kept according to the reference's densities.
 struct Batch {
     pixels: Vec<(Target, Vec<KeptCone>)>,
     marched: usize,
@@ -128,7 +127,7 @@ fn batch<B: Backend>(bench: &mut Bench<B>, config: &Config, reference: &Referenc
     result
 }
 
-/// Entries of a slot to differentiate: 24 (texels) or 8 (layers) with a gradient, and four that may have none.
+/// Chooses entries of a slot to differentiate: 24 (texels) or 8 (layers) with a nonzero gradient, and four arbitrary ones.
 fn entries(gradient: &[f32], sparse: bool, random: &mut TestRandom) -> Vec<usize> {
     let mut chosen: Vec<usize> = (0..4).map(|_| random.below(gradient.len())).collect();
     let live: Vec<usize> = (0..gradient.len()).filter(|&i| gradient[i] != 0.0).collect();
@@ -138,7 +137,8 @@ fn entries(gradient: &[f32], sparse: bool, random: &mut TestRandom) -> Vec<usize
     chosen
 }
 
-/// The central difference for this step and parameter. It depends only on the reference, so backends with the same samples share it.
+/// Returns the central difference for a step and a parameter, and computes it only once: it depends only on the reference, so backends
+/// with the same samples share it.
 fn taken_once(key: (u64, usize), take: impl FnOnce() -> f64) -> f64 {
     static TAKEN: Mutex<BTreeMap<(u64, usize), f64>> = Mutex::new(BTreeMap::new());
     let known = TAKEN.lock().expect("no test failed here").get(&key).copied();
@@ -149,7 +149,7 @@ fn taken_once(key: (u64, usize), take: impl FnOnce() -> f64) -> f64 {
     })
 }
 
-/// Central difference of a loss around 0. If the slopes to the left and right differ, a ReLU switches in between; a
+/// Returns the central difference of a loss around 0. If the slopes to the left and right differ, a ReLU switches within the step; a
 /// smaller step then excludes the switch.
 fn difference(at: &mut dyn FnMut(f64) -> f64) -> f64 {
     let here = at(0.0);
@@ -164,7 +164,7 @@ fn difference(at: &mut dyn FnMut(f64) -> f64) -> f64 {
     central
 }
 
-/// Compares the loss and every slot's gradient with central differences.
+/// The loss and the gradient of every slot match central differences.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -172,7 +172,7 @@ pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     configurations().iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
 }
 
-/// [`finite_differences`] for one configuration.
+/// Checks [`finite_differences`] for one configuration.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -194,7 +194,7 @@ pub fn of_a_step<B: Backend>(make: impl Fn() -> B, name: &str, config: &Config) 
     trainer.occupy_all();
     let (sums, gradient) = trainer.loss_and_gradient(TRAINING_STEP, RAYS)?;
     assert_eq!(sums.rays, u64::from(RAYS), "{name}");
-    // A backend that evaluates front to back queries fewer samples, but never fewer than it keeps.
+    // A backend that evaluates rays from front to back queries fewer samples, but never fewer than it keeps.
     assert!((sums.kept..=batch.marched as u64).contains(&sums.marched), "{name}: samples marched");
     assert!(sums.kept.abs_diff(batch.kept as u64) <= batch.doubtful as u64, "{name}: samples kept");
     let loss = reference.loss(&batch.pixels);
@@ -236,9 +236,9 @@ pub fn of_a_step<B: Backend>(make: impl Fn() -> B, name: &str, config: &Config) 
     Ok(())
 }
 
-/// At a precision whose rounding is known exactly, loss and gradients match a reference that rounds the same factors.
-/// The remaining difference comes from the order of f32 sums, and from factors so close to the midpoint of two bf16
-/// values that this order decides.
+/// At a precision whose rounding is known exactly, loss and gradients match a reference that rounds the same factors. The remaining
+/// difference comes from the order of f32 sums, and from factors so close to the midpoint of two bf16 values that this order decides how
+/// they round.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -255,7 +255,7 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let (width, stride) = (encoders::of(&config).width(&config), encoders::stride(&config));
     let features: Vec<_> =
         wide(&bench.features()).chunks_exact(stride).map(|row| row[..width].to_vec()).collect();
-    // One cone per pixel.
+    // Each pixel has one cone.
     let rays: Vec<_> =
         batch.pixels.iter().map(|(target, cones)| (cones[0].0, *target, cones[0].1.clone())).collect();
     let expected = reference.gradient(&rays, &features, &bf16);
@@ -274,8 +274,8 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         let error = (distance / square(&mut expected.iter().copied())).sqrt();
         assert!(error < ROUNDED_TOLERANCE, "{}: off by {error}", slot.name);
     }
-    // Features are linear in the encoder's parameters: the dot product of a direction with their gradient equals that
-    // of the direction's features with the features' gradient. Random signs detect any error.
+    // Features are linear in the encoder's parameters. The dot product of any parameter vector with the parameters' gradient therefore
+    // equals that of the vector's features with the features' gradient. Vectors of random signs detect any error.
     let own = layout.encoder()[0].range.clone();
     let size = wide(&gradient[own.clone()]).iter().map(|g| g * g).sum::<f64>().sqrt();
     let mut random = TestRandom::new(23);
@@ -297,8 +297,9 @@ pub fn rounded_as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Rounding the factors of the layers' products to `bits` bits changes the loss by less than one rounding, and gradients by 0.1 to 4
-/// roundings. All hidden units of the networks are on: a unit that switches would change a gradient by far more than a rounding.
+/// Rounding the factors of the layers' products to `bits` bits changes the loss by less than one rounding (2^−`bits`), and gradients by
+/// 0.1 to 4 roundings. All hidden units of the networks are on, because a unit that switches would change a gradient by far more than a
+/// rounding.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -324,15 +325,15 @@ pub fn rounded<B: Backend>(make: impl Fn() -> B, precision: Precision, bits: i32
         let distance: f64 = pairs().map(|(a, b)| square(f64::from(a - b))).sum();
         let size: f64 = pairs().map(|(a, _)| square(f64::from(*a))).sum();
         let error = (distance / size).sqrt();
-        // At most four products forward and four back, each of two factors with an error of half a rounding (measured
-        // with bf16: 0.4 to 1.0 roundings), or of a whole one if a device rounds to either neighbour.
+        // A gradient depends on at most four products forward and four backward. Each has two factors with an error of half a rounding, or
+        // of a whole one if a device rounds to either neighbour. With bf16, 0.4 to 1.0 roundings were measured.
         assert!((0.1 * rounding..4.0 * rounding).contains(&error), "{}: off by {error}", slot.name);
     }
     Ok(())
 }
 
-/// Parameters for which the input of every ReLU is far above zero: texels and weights are positive, and the weights of
-/// all harmonics but the constant are small. The last colour layer may have any sign.
+/// Returns parameters for which the input of every ReLU is far above zero: texels and weights are positive, and the weights of all
+/// harmonics except the constant one are small. Weights of the last colour layer may have either sign.
 fn always_on(layout: &Layout) -> Vec<f32> {
     let mut random = TestRandom::new(29);
     let mut values = vec![0.0; layout.len()];

@@ -22,7 +22,7 @@ use trimip_data::settings::DataConfig;
 /// Number of training steps.
 const STEPS: u64 = 200;
 
-/// A model of the built-in scene, its proxy included.
+/// Trains a model of the built-in scene and adds its proxy.
 ///
 /// # Panics
 /// When training fails.
@@ -52,7 +52,7 @@ pub fn model<B: Backend>(backend: B) -> Model {
     model
 }
 
-/// Adds the proxy of a model, computed by `viewer`.
+/// Adds the proxy of a model, which `viewer` evaluates.
 ///
 /// # Errors
 /// When the device fails.
@@ -62,7 +62,7 @@ pub fn add_proxy(viewer: &mut dyn Viewer, model: &mut Model) -> Result<()> {
     Ok(())
 }
 
-/// Renders a model with a kind of renderer.
+/// Renders a model with the given kind of renderer.
 ///
 /// # Errors
 /// When the backend refuses the model, or the device fails.
@@ -72,12 +72,12 @@ pub fn picture<B: Backend>(backend: B, model: &Model, kind: RendererKind, camera
     LoadedModel::new(backend, &model)?.render(camera)
 }
 
-/// A camera that looks at the origin.
+/// Returns a camera that looks at the origin.
 pub fn camera(size: u32, eye: DVec3) -> Camera {
     Camera::look_at(Intrinsics::from_angle(size, size, 0.69), eye, DVec3::ZERO, DVec3::Z)
 }
 
-/// Bits of all colours.
+/// Returns the bits of all colours.
 pub fn bits(frame: &Frame) -> Vec<u32> {
     frame.pixels.iter().flat_map(|pixel| pixel.rgb.map(f32::to_bits)).collect()
 }
@@ -116,20 +116,20 @@ pub fn pictures<B: Backend>(make: impl Fn() -> B, model: &Model) -> Result<()> {
     let near = psnr(&found.rgb(), &expected.rgb());
     assert!(near > 25.0, "within: {near:.1} dB");
 
-    // Cones wider than the proxy supports are volume-rendered, bit by bit.
+    // Cones that are too wide for the proxy are volume-rendered, so the picture has the bits of volume rendering.
     let wide = camera(4, eye);
     let (found, expected) = (picture(make(), model, Hybrid, &wide)?, picture(make(), model, Volume, &wide)?);
     assert_eq!(bits(&found), bits(&expected));
 
-    // With a proxy without any density, the renderer shows the volume-rendered picture.
+    // If the proxy has no density anywhere, the hybrid picture is the volume-rendered one.
     let mut blind = model.clone();
     add_proxy(&mut Nothing, &mut blind)?;
     assert_eq!(bits(&picture(make(), &blind, Hybrid, &far)?), bits(&volume));
     Ok(())
 }
 
-/// In fog of one colour that fills the box, of any density, a ray loses less opacity than the larger of `hybrid.least` and
-/// `hybrid.opaque` plus one step, and has the fog's colour.
+/// In a box full of fog of one colour and any density, the opacity of a ray differs from the exact one by less than the larger of
+/// `hybrid.least` and `hybrid.opaque`, plus the optical depth of one step. The ray has the fog's colour.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -174,7 +174,7 @@ pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A field without density.
+/// A viewer whose field has no density.
 struct Nothing;
 
 impl Viewer for Nothing {

@@ -1,5 +1,5 @@
-//! Views of a model in addition to colours: samples per pixel, and a clipped part of the box. In fog of one density both
-//! follow from the lengths of rays in the box.
+//! Tests of views other than colours: the number of samples of each pixel, and a clipped part of the box. In fog of one density
+//! both follow from the lengths of the rays within the box.
 
 use crate::fixtures::{constant, small};
 use glam::DVec3;
@@ -13,7 +13,7 @@ use trimip_core::{
     scene::cones::Division,
 };
 
-/// A model of fog that fills the box. Rendering omits none of its samples.
+/// Returns a model of fog that fills the box, configured so that rendering omits no sample.
 fn fog(config: &mut Config, density: f64) -> Model {
     (config.renderer.min_transmittance, config.renderer.min_weight) = (0.0, 0.0);
     let layout = Layout::new(config);
@@ -24,7 +24,7 @@ fn fog(config: &mut Config, density: f64) -> Model {
     Model::new(config.clone(), file)
 }
 
-/// Length of the part of a ray within the box.
+/// Returns the length of the part of a ray within the box.
 fn chord(aabb: &Aabb<f64>, origin: [f64; 3], direction: [f64; 3]) -> f64 {
     let (mut near, mut far) = (0.0_f64, f64::INFINITY);
     for axis in 0..3 {
@@ -35,7 +35,7 @@ fn chord(aabb: &Aabb<f64>, origin: [f64; 3], direction: [f64; 3]) -> f64 {
     (far - near).max(0.0)
 }
 
-/// A pixel has as many samples as its cones have steps in the box.
+/// The number of samples of a pixel is the number of steps of its cones within the box.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -43,7 +43,7 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     for most in [1, 3] {
         let mut config = small();
         config.renderer.cones = most;
-        // Far from the origin: the viewer shifts it.
+        // The box lies far from the origin, so the viewer shifts it.
         (config.scene.aabb_min, config.scene.aabb_max) = ([9.0, -1.5, -0.5], [12.0, 1.5, 0.75]);
         let model = fog(&mut config, 0.02);
         let mut viewer = LoadedModel::new(make(), &model)?;
@@ -76,8 +76,8 @@ pub fn samples<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A clipped view shows only the cells within the box. A new box replaces the last one; without a box, the bits are those of
-/// the unclipped view.
+/// A clipped view shows only the cells within the given box. A new box replaces the last one; without a box, the picture has the
+/// bits of the unclipped view.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

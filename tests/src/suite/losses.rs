@@ -1,5 +1,5 @@
-//! Every registered term of the loss: given pixels and samples against the terms' equations, the whole training step against
-//! finite differences, and an interrupted run. The configurations are the terms' own examples.
+//! Tests of every registered term of the loss: given pixels and samples match the terms' equations, a whole training step matches
+//! finite differences, and an interrupted run equals an uninterrupted one. The configurations are the terms' own examples.
 
 use super::{Bench, gradients::of_a_step, training};
 use crate::{
@@ -28,13 +28,13 @@ const STEP: f64 = 1e-5;
 /// Number of pixels: more than one workgroup of a device.
 const PIXELS: usize = 150;
 
-/// Number of pixels whose samples are differentiated: the sum over all pairs of samples is slow.
+/// Number of pixels whose samples are differentiated; few, because a sum over all pairs of samples is slow.
 const DIFFERENTIATED: usize = 14;
 
-/// Gains of three photographs.
+/// Exposure gains of three photographs.
 const GAINS: [[f32; 3]; 3] = [[1.3, 0.7, 1.0], [0.4, 2.5, 1.1], [0.9, 1.6, 0.6]];
 
-/// The examples of all registered terms, applied to the configuration `base`.
+/// Returns the examples of all registered terms, applied to the configuration `base`.
 pub fn examples(base: &Config) -> Vec<(&'static str, Config)> {
     let example = |term: &&dyn losses::Definition| {
         let mut config = base.clone();
@@ -44,39 +44,40 @@ pub fn examples(base: &Config) -> Vec<(&'static str, Config)> {
     losses::all().iter().map(example).collect()
 }
 
-/// Pixels with their photographs and cones, and given samples.
+/// Given pixels with their photographs, cones and samples.
 #[derive(Clone)]
 pub struct Given {
-    /// One per cone.
+    /// Ray of each cone.
     pub rays: Vec<Ray>,
-    /// The cones of each pixel.
+    /// Range of the cones of each pixel.
     pub groups: Vec<Segment>,
-    /// One per pixel.
+    /// Target of each pixel.
     pub targets: Vec<Target>,
-    /// One per pixel.
+    /// Rendered channels of each pixel.
     pub pixels: Vec<Pixel>,
-    /// One per pixel.
+    /// Index of each pixel's photograph.
     pub photographs: Vec<u32>,
-    /// The samples of each cone.
+    /// Range of the samples of each cone.
     pub segments: Vec<Segment>,
-    /// One per sample.
+    /// Interval of each sample.
     pub intervals: Vec<Interval>,
-    /// One per sample.
+    /// Density of each sample.
     pub densities: Vec<f32>,
 }
 
 /// Results of a backend for given pixels and samples.
 pub struct Found {
-    /// The sums.
+    /// Sums over the pixels, and derivatives with respect to log-gains.
     pub result: StepResult,
-    /// Gradient of each pixel.
+    /// Gradient with respect to the channels of each pixel.
     pub by_pixel: Vec<[f32; 4]>,
-    /// Gradient of each density.
+    /// Gradient with respect to each density.
     pub by_density: Vec<f64>,
 }
 
 impl Given {
-    /// Pixels of all colours; cones without samples, with one, and with up to forty of all densities, near and far away.
+    /// Creates pixels of random colours, whose cones have no samples, one, or up to forty. Samples are near and far away, and
+    /// their densities range from almost 0 to opaque.
     pub fn new(seed: u64) -> Self {
         let mut random = TestRandom::new(seed);
         let mut all = Self {
@@ -140,7 +141,7 @@ impl Given {
         }
     }
 
-    /// Replaces pixels and targets by black ones, so that colours have no loss.
+    /// Replaces pixels and targets with black ones, so that the loss of colours is 0.
     pub fn without_colours(mut self) -> Self {
         self.pixels.fill(Pixel::default());
         self.targets.iter_mut().for_each(|target| {
@@ -163,7 +164,7 @@ impl Given {
         if !gains.is_empty() {
             stages.loss.set_gains(gains);
         }
-        // The second pass checks that earlier results do not count again.
+        // The second pass checks that earlier results are not added again.
         for _ in 0..2 {
             partial.sums = B::Sums::default();
             let one = Radiance { rgb: [0.5; 3], density: 1.0 };
@@ -201,13 +202,13 @@ impl Given {
         backend.write(&mut workspace.pixels, &self.pixels);
     }
 
-    /// True if the loss counts a pixel.
+    /// Returns true if a pixel contributes to the loss.
     fn counts(&self, config: &Config, pixel: usize) -> bool {
         let any = |segment: &Segment| segment.count > 0;
         config.loss.rays == LossRays::All || self.segments[self.groups[pixel].range()].iter().any(any)
     }
 
-    /// The samples of a pixel's cones, as the ray terms of the loss read them.
+    /// Returns the samples of a pixel's cones, in the form that the ray terms of the loss read.
     fn cones(&self, config: &Config, pixel: usize) -> Vec<Vec<RaySample<f64>>> {
         let cone = |index: usize| {
             let (ray, own) = (&self.rays[index], self.segments[index].range());
@@ -221,7 +222,7 @@ impl Given {
         self.groups[pixel].range().map(cone).collect()
     }
 
-    /// The weighted loss of a pixel by the equations.
+    /// Returns the weighted loss of a pixel, computed from the equations.
     fn of_pixel(&self, config: &Config, pixel: usize, channels: [f64; 4], log_gains: &[[f64; 3]]) -> f64 {
         let target = &self.targets[pixel];
         let gains = log_gains.get(self.photographs[pixel] as usize).map_or([1.0; 3], |e| e.map(f64::exp));
@@ -294,7 +295,7 @@ fn assert_gradients(
     total
 }
 
-/// Compares the gradients of the densities of a pixel's samples; returns the pixel's ray terms.
+/// Compares the gradients with respect to the densities of a pixel's samples; returns the pixel's ray terms.
 fn assert_densities(given: &Given, config: &Config, found: &Found, pixel: usize, place: &str) -> f64 {
     let (target, group) = (&given.targets[pixel], &given.groups[pixel]);
     let cones = given.cones(config, pixel);
@@ -318,7 +319,7 @@ fn assert_densities(given: &Given, config: &Config, found: &Found, pixel: usize,
     of(&cones)
 }
 
-/// Loss and gradients of a training step against central differences of the reference.
+/// The loss and the gradients of a training step match central differences of the reference.
 ///
 /// # Errors
 /// When the backend refuses a configuration.

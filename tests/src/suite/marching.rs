@@ -1,4 +1,5 @@
-//! Marching with empty-space skipping against querying every step, on random occupancy and difficult rays.
+//! Tests of ray marching: skipping empty space gives the samples of querying every step, on random occupancy and
+//! difficult rays.
 
 use super::Bench;
 use crate::{
@@ -12,14 +13,15 @@ use trimip_core::{
     engine::{backend::Occupancy, batch::Ray},
 };
 
-/// Distance to a cell's border, in unit-box coordinates, and to the box's end, in steps, below which f32 and f64 may
-/// decide differently about a sample. Positions of order 5 world units have a rounding error of 5e-7.
+/// Distance below which f32 and f64 may decide differently about a sample: to a cell's border in unit-box coordinates,
+/// and to the end of the ray's path in the box in world units. Positions of order 5 world units have a rounding error
+/// of 5e-7.
 const BORDER: f64 = 4e-6;
 
-/// Fraction of random samples that may lie this close to a border.
+/// Largest fraction of samples that may lie this close to a border.
 const BORDER_SHARE: f64 = 0.005;
 
-/// Rays through, beside, along and from inside the box; the first `AXIS_ALIGNED` are parallel to an axis.
+/// Returns rays through, beside, along and from inside the box; the first 30 are parallel to an axis.
 pub fn rays(seed: u64) -> Vec<Ray> {
     let mut random = TestRandom::new(seed);
     let mut rays = Vec::new();
@@ -37,7 +39,7 @@ pub fn rays(seed: u64) -> Vec<Ray> {
         for sign in [1.0, -1.0] {
             push(-4.0 * sign * axis + 0.3 * aside, sign * axis);
             push(-4.0 * sign * axis, sign * axis);
-            // In a face, and outside it.
+            // In a face of the box, and outside the box.
             push(-4.0 * sign * axis + 1.5 * aside, sign * axis);
             push(-4.0 * sign * axis + 1.6 * aside, sign * axis);
             // From inside.
@@ -57,7 +59,8 @@ pub fn rays(seed: u64) -> Vec<Ray> {
     rays
 }
 
-/// One bit per cell: a fraction `fraction` is set, singly or in slabs that leave whole blocks empty.
+/// Returns one bit per cell. About half of the blocks of 4³ cells are empty; in the others a cell is set with
+/// probability `fraction`.
 pub fn bits(resolution: u32, fraction: f64, seed: u64) -> Vec<u8> {
     let mut random = TestRandom::new(seed);
     let cells = resolution.pow(3);
@@ -75,7 +78,7 @@ pub fn bits(resolution: u32, fraction: f64, seed: u64) -> Vec<u8> {
     bits
 }
 
-/// A grid with several steps per cell, and many per block.
+/// Returns a configuration with several steps per cell of the occupancy grid, and many per block.
 pub fn configuration(resolution: u32) -> Config {
     let mut config = small();
     config.occupancy.resolution = resolution;
@@ -83,7 +86,7 @@ pub fn configuration(resolution: u32) -> Config {
     config
 }
 
-/// The sample distances of each ray.
+/// Returns the distances of each ray's samples.
 pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u64>) -> Vec<Vec<f32>> {
     let Bench { backend, stages, workspace, .. } = bench;
     workspace.rays.place(backend, rays);
@@ -110,7 +113,8 @@ pub fn marched<B: Backend>(bench: &mut Bench<B>, rays: &[Ray], jitter: Option<u6
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    // The widest of the cones has a radius of 0.05 in the middle of the box; 0.2 is several steps of the finer grids.
+    // The widest cones have a radius of 0.05 in the middle of the box. A `per_radius` above 0 lengthens their steps,
+    // but a cell still has several.
     for (resolution, fraction, per_radius) in
         [(32, 0.02, 0.0), (32, 0.5, 0.0), (20, 0.9, 0.0), (8, 0.1, 0.0), (32, 0.5, 0.2), (20, 0.9, 0.7)]
     {
@@ -144,7 +148,7 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                     borderline += 1;
                 }
             }
-            // Any further sample lies after the last reference step, at the very end of the box.
+            // Any other sample lies after the last reference step, at the very end of the box.
             assert!(found.all(|t| (leave - t).abs() < 1e-5), "{ray:?}: samples that no step has");
         }
         assert!(total > 500, "the rays meet {total} occupied steps");
@@ -178,8 +182,8 @@ pub fn scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Jitter moves each ray's first step by less than one step, differently for each ray and step, and changes nothing
-/// else.
+/// Jitter moves the first step of a ray by less than one step, differently for each ray and training step, and changes
+/// nothing else.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -205,7 +209,8 @@ pub fn jitter<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         }
     }
     let mean = firsts.iter().sum::<f32>() / 400.0;
-    // Uniform in [0, 1): the standard error of 400 is 0.0144; the bound is four of them.
+    // Offsets are uniform in [0, 1): the standard error of the mean of 400 is 0.0144, and the bound is about four times
+    // that.
     assert!((mean - 0.5).abs() < 0.06, "mean offset {mean}");
     assert_ne!(firsts[..200], firsts[200..], "each step draws anew");
     Ok(())

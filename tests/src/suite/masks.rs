@@ -1,5 +1,5 @@
-//! Masked pixels: training learns nothing from ignored pixels, whatever colour they store, and weights a pixel by the fraction
-//! of it that is kept.
+//! Tests of masked pixels: training learns nothing from ignored pixels, whatever colours they store, and weights each pixel by
+//! the fraction of it that is kept.
 
 use super::training::{configuration, steps};
 use crate::fixtures::{GivenFrames, TestRandom, noise};
@@ -11,8 +11,8 @@ use trimip_core::{
     run::evaluate::evaluate,
 };
 
-/// Photographs of noise at two scales whose left half is ignored and has colours drawn from the seed `garbage`. Some of the
-/// coarse pixels are partly kept.
+/// Returns photographs of noise at two scales. Their left half is ignored and has random colours from the seed `garbage`; some of
+/// the coarse pixels in the right half are partly kept.
 pub fn half(garbage: u64) -> ViewSet {
     let (mut set, mut random) =
         (ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) }, TestRandom::new(garbage));
@@ -35,14 +35,15 @@ pub fn half(garbage: u64) -> ViewSet {
     set
 }
 
-/// Photographs of noise with `fraction` / 255 of every pixel kept.
+/// Returns photographs of noise in which `fraction` / 255 of every pixel is kept.
 fn uniform(fraction: u8) -> ViewSet {
     let mut views = ViewSet { alpha: Alpha::Kept, ..noise(3, 16, 2, 2) };
     views.pixels.iter_mut().for_each(|pixel| pixel[3] = fraction);
     views
 }
 
-/// A configuration that uses everything in a target: opacity, random backgrounds and the weight of the distortion too.
+/// Returns a configuration whose loss uses every part of a target, including the opacity, the random background and the weight of
+/// the distortion.
 pub fn everything() -> Config {
     let mut config = configuration();
     (config.loss.opacity, config.loss.distortion) = (0.1, 0.05);
@@ -50,7 +51,7 @@ pub fn everything() -> Config {
     config
 }
 
-/// Parameters and reports of a run are the same bits for any colours in ignored pixels.
+/// Parameters and reports of a run have the same bits for any colours in ignored pixels.
 ///
 /// # Errors
 /// When a step fails.
@@ -71,7 +72,8 @@ pub fn garbage<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Wholly ignored photographs move no parameter. Keeping one fraction of all pixels changes only their weight.
+/// Photographs that are wholly ignored change no parameter. Keeping the same fraction of every pixel changes only the weight of
+/// the pixels.
 ///
 /// # Errors
 /// When a step fails.
@@ -91,7 +93,7 @@ pub fn fractions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let size = square(&mut by_whole.iter().copied());
     // A device may add gradients in fixed point, whose error does not shrink with the weight.
     assert!(size > 0.0 && apart < 1e-8 * size, "{apart} of {size}");
-    // Wholly kept photographs equal those without alpha.
+    // Photographs that are wholly kept give the gradient of opaque ones without a mask.
     let opaque = ViewSet { alpha: Alpha::Straight, ..uniform(255) };
     assert!(gradient(opaque)?.1 == by_whole);
     Ok(())
@@ -104,7 +106,7 @@ pub fn fractions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let config = configuration();
     let mut trainer = Trainer::new(make(), &config, half(1))?;
-    // One frame of one view at each of two scales, and one that is masked as a whole.
+    // Two frames with one view at each of two scales; the second frame is masked as a whole.
     let frame = |garbage: u64, fraction: Option<u8>| {
         let mut set = half(garbage);
         for scale in &mut set.scales {
@@ -122,9 +124,10 @@ pub fn measures<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let (one, other) = (measured(1)?, measured(2)?);
     assert_eq!(one.iter().map(|view| (view.index, view.scale)).collect::<Vec<_>>(), [(0, 1), (0, 2)]);
     for (one, other) in one.iter().zip(&other) {
-        // SSIM is not compared: its windows extend over the edge of a mask, where both pictures have the photograph's colours.
+        // SSIM is not compared: its windows extend beyond the edge of a mask, where both pictures have the photograph's colours,
+        // which differ between the two runs.
         let other = Measures { ssim: one.measures.ssim, ..other.measures };
-        // Measures that were not taken are NaN, which equals nothing.
+        // Measures that were not taken are NaN, which equals nothing, so the test compares their text.
         assert_eq!(format!("{other:?}"), format!("{:?}", one.measures));
     }
     // The expected PSNR, over the right half.

@@ -1,5 +1,5 @@
 //! The tests that every backend must pass, written against the traits. Each test takes a function that creates a fresh
-//! backend, so a new backend is tested with one more line.
+//! backend, so testing a new backend takes one more line.
 
 pub mod cones;
 pub mod contraction;
@@ -81,7 +81,7 @@ impl<B: Backend> Bench<B> {
         self.backend.write(counts, &[[total, total]]);
     }
 
-    /// Features of the placed samples, in rows of the encoder's stride.
+    /// Returns the features of the placed samples, in rows of the encoder's stride.
     pub fn features(&mut self) -> Vec<f32> {
         let Self { backend, stages, workspace, parameters } = self;
         let (rays, samples) = (&workspace.rays, &workspace.samples);

@@ -1,5 +1,5 @@
-//! Poses of photographs: the effect of refined poses on a run, and the derivatives of a whole step with respect to camera motions and
-//! intrinsics.
+//! Tests of the poses of photographs: the effect of refined poses on a run, and the derivatives of a whole step with respect to camera
+//! motions and intrinsics.
 
 use super::training::{configuration, steps};
 use crate::fixtures::{lively, noise, photographs};
@@ -13,7 +13,7 @@ use trimip_core::{
 /// Number of photographs.
 const PHOTOGRAPHS: usize = 3;
 
-/// A configuration that refines poses, with steps long enough to see them move.
+/// Returns a configuration that refines poses, at a learning rate high enough to see them move.
 pub fn refined() -> Config {
     let mut config = configuration();
     config.train.cameras = CameraPoses::Refine;
@@ -21,7 +21,7 @@ pub fn refined() -> Config {
     config
 }
 
-/// Refined poses that stay where they are change no bit of a run, poses that move do, and no model file contains poses.
+/// Refined poses that do not move change no bit of a run, but poses that move change some. No model file contains poses.
 ///
 /// # Errors
 /// When a step fails.
@@ -49,7 +49,7 @@ pub fn beside_the_model<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The mean of all motions, in the axes of the world, stays zero. One photograph at two scales has one pose.
+/// The mean of all motions, in the axes of the world, stays zero. A photograph at two scales has a single pose.
 ///
 /// # Errors
 /// When a step fails.
@@ -71,14 +71,15 @@ pub fn without_a_common_motion<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Number of steps over which derivatives are averaged, and of the rays in each.
+/// Number of steps over which derivatives are averaged, and number of rays in each step.
 const STEPS: u64 = 8;
 const RAYS: u32 = 512;
 
-/// Error of a derivative, relative to its size. Each ray is moved in one random direction of two, which leaves about 4 %.
+/// Largest error of a derivative, relative to its size. Each ray is moved in only one of two directions, chosen at random, which leaves an
+/// error of about 4 %.
 const TOLERANCE: f64 = 0.1;
 
-/// Photographs that a model of `config` renders for `PHOTOGRAPHS` cameras.
+/// Returns photographs that a model of `config` renders for `PHOTOGRAPHS` cameras.
 fn rendered<B: Backend>(backend: B, config: &Config, parameters: &[f32]) -> Result<ViewSet> {
     let mut trainer = Trainer::new(backend, config, noise(PHOTOGRAPHS, 48, 1, 3))?;
     trainer.set_parameters(parameters);
@@ -95,12 +96,12 @@ fn rendered<B: Backend>(backend: B, config: &Config, parameters: &[f32]) -> Resu
     }))
 }
 
-/// A trainer on renderings of its own model, for which the derivatives with respect to cameras are complete.
+/// Returns a trainer on renderings of its own model, for which the derivatives with respect to cameras are complete.
 fn on_its_own_pictures<B: Backend>(make: impl Fn() -> B) -> Result<Trainer<B>> {
     let mut config = refined();
-    // The derivatives omit the effect of the direction on colours, of the radius on features, and of a ray's end on transmittance.
-    // None of these matters here: there are no directions and no mip levels, and rays are opaque long before their ends. Steps are
-    // short.
+    // The derivatives omit the effect of the direction on colours, of the radius on features, and of a ray's end on transmittance. None of
+    // these matters here: colours do not depend on directions, the encoder has no mip levels, and rays are opaque long before their ends.
+    // Steps are short.
     config.scene.contraction = Contraction::Ball;
     config.field.density_shift = -2.0;
     (config.field.directions, config.encoder.mipmap) = (false, false);
@@ -112,8 +113,8 @@ fn on_its_own_pictures<B: Backend>(make: impl Fn() -> B) -> Result<Trainer<B>> {
     Ok(trainer)
 }
 
-/// The derivatives of a step with respect to camera motions are the slopes of its loss. The cameras are rotated by about two pixels
-/// away from the poses of the photographs.
+/// The derivatives of a step with respect to camera motions are the slopes of its loss. The cameras are rotated away from the poses of the
+/// photographs, by about two pixels.
 ///
 /// # Errors
 /// When a step fails.
@@ -145,8 +146,8 @@ pub fn whole_step<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 /// When a step fails.
 pub fn by_intrinsics<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut trainer = on_its_own_pictures(make)?;
-    // A focal length moves only the rims of pictures, so fewer rays contribute to its derivative. Around the true focal length, the
-    // derivative has the error of a change by 0.01; a change of 0.2 outweighs that.
+    // A focal length moves mainly the rims of pictures, so fewer rays contribute to its derivative. The error of the derivative
+    // corresponds to a change of the focal length by 0.01; a change of 0.2 outweighs that.
     let steps = 3 * STEPS;
     for off in [[0.2, 0.0, 0.0, 0.0], [0.0, 0.02, -0.015, 0.0]] {
         let mut at = |factor: f64| -> Result<(f64, f64)> {

@@ -1,5 +1,5 @@
-//! Probes of the occupancy grid are ordinary samples: ray, interval and sphere of a probe all describe the same
-//! position.
+//! Tests of the probes of the occupancy grid, which are ordinary samples: the ray, the interval and the sphere of a
+//! probe all describe the same position.
 
 use super::Bench;
 use crate::fixtures::{TestRandom, encoded, every_encoder, lively, noise, small};
@@ -10,10 +10,12 @@ use trimip_core::{
     geometry::occupancy::OUTSIDE,
 };
 
-/// Positions in the unit cube and directions in f32, after about ten roundings of 6e-8 on values up to the box's size.
+/// Tolerance of positions in the unit cube and of directions: about ten roundings of 6e-8 in f32, on values up to the
+/// box's size.
 const TOLERANCE: f64 = 4e-6;
 
-/// Every probe lies in the box, on its ray, and has its ray's radius there. Directions are uniform.
+/// Every probe lies in the box and on its ray, and has the radius of the ray there. The directions of the rays are
+/// uniform.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -50,7 +52,7 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             square[axis] += direction[axis].powi(2) / spheres.len() as f64;
         });
     }
-    // Uniform directions have mean 0 and mean square 1/3; the bound is four standard errors of 512 draws.
+    // Uniform directions have mean 0 and mean square 1/3; the bounds are four standard errors of 512 draws.
     for axis in 0..3 {
         assert!(mean[axis].abs() < 4.0 * (1.0 / 3.0 / 512.0_f64).sqrt(), "{mean:?}");
         assert!((square[axis] - 1.0 / 3.0).abs() < 4.0 * (4.0 / 45.0 / 512.0_f64).sqrt(), "{square:?}");
@@ -58,15 +60,15 @@ pub fn on_their_rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Cells outside of the visual hull are neither probed nor occupied, and do not count in the mean density that is the
-/// threshold.
+/// Cells outside of the visual hull are neither probed nor occupied, and do not contribute to the mean density, which
+/// is the threshold.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     const SIDE: usize = 8;
     let mut config = small();
-    // The mean density is the threshold.
+    // With so high a limit, the mean density is the threshold.
     config.occupancy.threshold = 1e9;
     let parameters = lively(&Layout::new(&config), 3);
     let inside = |cell: usize| cell % SIDE >= SIDE / 2;
@@ -75,8 +77,8 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         (0..SIDE.pow(3) / 8).map(byte).collect::<Vec<u8>>()
     };
     let upper = |cell: usize| cell / SIDE / SIDE >= SIDE / 2;
-    // Densities of the lower and the upper half. Only the upper one exceeds the mean of the hull, 2; both exceed the
-    // mean of the whole grid, 1. Without any density, the whole hull becomes occupied.
+    // Densities of the lower and the upper half. Only the upper density exceeds the mean over the hull, 2; both exceed
+    // the mean over the whole grid, 1. If all densities are 0, the whole hull becomes occupied.
     for ([below, above], expected) in
         [([1.5, 2.5], bits_of(&|cell| inside(cell) && upper(cell))), ([0.0, 0.0], bits_of(&inside))]
     {
@@ -108,8 +110,8 @@ pub fn within_the_hull<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Queries of world positions return the density and colour of the model in f64, wherever the box is. More queries than
-/// a tile holds come back in order.
+/// Queries of world positions return the density and colour of the model in f64, wherever the box is. The results of
+/// more queries than one tile holds are in the order of the queries.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -139,7 +141,8 @@ pub fn queries<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         for (i, (query, found)) in queries.iter().zip(&found).enumerate() {
             let radius = f64::from(query.radius);
             let direction = query.direction.map(f64::from);
-            // A query represents an interval as long as its sphere is wide, one side of the box away from the eye.
+            // A query evaluates an interval as long as its sphere is wide, at a distance of the box's longest side from
+            // the eye.
             let (t, length) = (space.aabb().longest(), 2.0 * radius);
             let place = SamplePosition { position: space.to_cube(query.point), radius, direction, t, length };
             let expected = exact.features(&place);

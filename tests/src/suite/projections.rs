@@ -1,5 +1,5 @@
-//! Every registered camera model: rays of its pixels against f64, whole pixels against the literal equations, and the picture of a
-//! homogeneous medium (Beer and Lambert). These tests cover a newly registered model without changes.
+//! Tests of every registered camera model: the rays of its pixels match f64, whole pixels match the literal equations, and pictures of a
+//! homogeneous medium follow the law of Beer and Lambert. These tests cover a newly registered model without changes.
 
 use super::{Bench, wide};
 use crate::{
@@ -19,16 +19,17 @@ use trimip_core::{
     scene::cones::PixelPattern,
 };
 
-/// Absolute tolerance of directions, origins and cosines: a few roundings in f32, among them the sines and cosines of a driver.
+/// Absolute tolerance of directions, origins and cosines: a few roundings in f32, and the errors of a driver's sines and cosines.
 const RAY_TOLERANCE: f64 = 5e-6;
 
-/// Relative tolerance of radii: the square root of a sum of products in f32; near an end of an angle's range drivers lose more.
+/// Relative tolerance of radii, each the square root of a sum of products in f32. Near the ends of an angle's range, drivers have larger
+/// errors.
 const RADIUS_TOLERANCE: f64 = 1e-4;
 
 /// Tolerance of a whole pixel: feature errors of 1e-5, amplified by the networks' slope of about 10, over some twenty samples.
 const PIXEL_TOLERANCE: f64 = 1e-3;
 
-/// A camera of each model, outside of the box of [`small`] and turned away from every axis.
+/// Returns a camera of each model, outside of the box of [`small`] and turned away from every axis.
 fn cameras(width: u32, height: u32) -> Vec<Camera> {
     let camera = |model: &Model| {
         let k = model.example(width, height);
@@ -38,12 +39,12 @@ fn cameras(width: u32, height: u32) -> Vec<Camera> {
     Model::ALL.iter().map(camera).collect()
 }
 
-/// The name of a camera's model.
+/// Returns the name of a camera's model.
 fn name(camera: &Camera) -> &'static str {
     camera.intrinsics.lens.model.name()
 }
 
-/// Distance of a ray from the cone in f64, in units of the tolerances.
+/// Returns the distance between a ray and the exact cone in f64, in units of the tolerances.
 fn distance(found: &Ray, camera: &Camera, [x, y, index]: [u32; 3], pattern: PixelPattern) -> f64 {
     let exact = camera.cone_in::<f64>(x, y, index, pattern);
     let apart = |a: [f32; 3], b: [f64; 3]| (DVec3::from(a.map(f64::from)) - DVec3::from(b)).length();
@@ -86,7 +87,7 @@ pub fn rays<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Photographs of noise at two scales, taken by one camera of each model.
+/// Returns photographs of noise at two scales, taken by one camera of each model.
 pub fn views() -> ViewSet {
     let mut next = 0_u32;
     photographs(&cameras(16, 12), 2, |_, _| {
@@ -155,8 +156,8 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// In a medium of one density σ, a pixel whose ray has the length L in the box has the opacity 1 − exp(−σ·L), and its depth
-/// follows from it. Cameras lie in front of the box and in its middle.
+/// In a medium of uniform density σ, a pixel whose ray has the length L within the box has the opacity 1 − exp(−σ·L), and the depth that
+/// follows from L. Cameras lie in front of the box and near its middle.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -180,7 +181,7 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             seen += usize::from(leave > enter);
             let exact = 1.0 - (-SIGMA * (leave - enter)).exp();
             let place = format!("{}, pixel {i}", name(&camera));
-            // The steps cover the length to half a step, and the density in f32 is SIGMA to 1e-4.
+            // The steps cover the length to within half a step, and the density in f32 is SIGMA to within 1e-4.
             let bound = SIGMA * step + 2e-4;
             assert!((f64::from(pixel.opacity) - exact).abs() < bound, "{place}: {} {exact}", pixel.opacity);
             let far = leave + 1.0 / SIGMA;

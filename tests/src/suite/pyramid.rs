@@ -1,5 +1,5 @@
-//! Invariants of the mip pyramid: every level has the mean of its base, gradients arrive at the base without loss, and
-//! backward is the transpose of forward.
+//! Tests of invariants of the mip pyramid: every level has the mean of its base, gradients reach the base without loss,
+//! and the backward pass is the transpose of the forward pass.
 
 use super::{Bench, wide};
 use crate::fixtures::{TestRandom, lively, small};
@@ -13,10 +13,11 @@ use trimip_core::{
     },
 };
 
-/// Error of means and sums of several thousand f32 values of order 1, relative to the sum of their magnitudes.
+/// Largest error of means and sums of several thousand f32 values of order 1, relative to the sum of their magnitudes.
 const SUM_TOLERANCE: f64 = 1e-6;
 
-/// Square planes over a cube, and planes of 48 × 64 × 16 texels over a box of these proportions.
+/// Returns configurations with square planes over a cube, and with planes of 48 × 64 × 16 texels over a box of these
+/// proportions.
 fn configurations() -> [Config; 2] {
     let mut cube = small();
     (cube.encoder.plane_size, cube.encoder.levels) = (32, 6);
@@ -27,7 +28,7 @@ fn configurations() -> [Config; 2] {
     [cube, long]
 }
 
-/// World radius with level exactly `level`, by the paper's formula.
+/// Returns the world radius whose level is exactly `level`, by the paper's formula.
 fn radius(config: &Config, level: f64) -> f32 {
     let texel = f64::from(config.scene.aabb_max[1] - config.scene.aabb_min[1]) / sides(config)[1] as f64;
     (texel / std::f64::consts::PI.sqrt() * level.exp2()) as f32
@@ -82,7 +83,7 @@ fn means_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
     Ok(())
 }
 
-/// The sum of the features' gradients arrives at the base from every level, and ⟨forward(p), g⟩ = ⟨p, backward(g)⟩.
+/// From every level, the sum of the features' gradients reaches the base, and ⟨forward(p), g⟩ = ⟨p, backward(g)⟩.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -141,7 +142,7 @@ fn gradients_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let forward = dot(&wide(&features[..counted]), &wide(&upstream[..counted]));
         let backward = dot(&wide(&parameters[..base]), &gradient);
-        // Both sum about 10,000 products of order 0.3 with errors of 1e-6 each, of random sign.
+        // Both are sums of about 10,000 products of order 0.3, each with an error of 1e-6 of random sign.
         assert!((forward - backward).abs() < 1e-3, "level {level}: {forward} forward, {backward} backward");
         // Reducing empties the partial gradients: a second reduce adds nothing.
         let mut again = backend.zeros(layout.len());

@@ -1,4 +1,4 @@
-//! Selection of training rays: fractions and weights of the scales, backgrounds, known depths, and the error map.
+//! Tests of the selection of training rays: fractions and weights of the scales, backgrounds, known depths, and the error map.
 
 use super::Bench;
 use crate::fixtures::{lively, noise, small};
@@ -12,8 +12,8 @@ use trimip_core::{
     },
 };
 
-/// The rays of a step are distributed over the scales by the schedules, and their weights compensate. The width of a
-/// ray's cone reveals its scale.
+/// The schedules distribute the rays of a step over the scales, and the weights of the rays compensate. The width of a ray's cone
+/// identifies its scale.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -25,7 +25,7 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let finest = views.views[0].camera.intrinsics.fx.recip() / std::f64::consts::PI.sqrt();
     let parameters = lively(&Layout::new(&config), 1);
     let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
-    // 4^(b-1) of the rays per scale, rounded down for all but the finest; weights 4^(1-b).
+    // A scale has 4^(b-1) times as many rays as the next finer one, rounded down except at the finest; weights grow by 4^(1-b).
     let expected = [
         (0.0, [3_201, 800, 200], [1.0, 4.0, 16.0]),
         (0.3, [0, 3_361, 840], [1.0, 4.0, 16.0]),
@@ -51,8 +51,8 @@ pub fn balance<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The fraction of training rays with a random background follows the schedule, and the others have the configured one.
-/// Every target is composited on its ray's background.
+/// The fraction of training rays with a random background follows the schedule; all other rays have the configured background. Every
+/// target is composited on the background of its ray.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -67,7 +67,7 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     {
         config.train.background = background;
         let mut views = noise(3, 32, 3, 4);
-        // Transparent photographs: only the background is visible.
+        // The photographs are transparent, so only the background is visible.
         views.pixels.iter_mut().for_each(|pixel| pixel[3] = 0);
         let mut bench = Bench::new(make(), &config, Some(views), &parameters)?;
         for (progress, fraction) in [0.2, 0.7, 0.95].into_iter().zip(fractions) {
@@ -78,7 +78,7 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let targets = backend.read(&workspace.rays.targets);
             assert!(targets.iter().all(|target| target.rgb == target.background));
             let own = targets.iter().filter(|target| target.background != config.data.background);
-            // Five standard deviations.
+            // The bound is five standard deviations.
             let bound = 5.0 * (f64::from(RAYS) * fraction * (1.0 - fraction)).sqrt();
             assert!(
                 (own.count() as f64 - f64::from(RAYS) * fraction).abs() <= bound,
@@ -89,7 +89,7 @@ pub fn backgrounds<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Targets have the known depths of their pixels, and only these, while the depth term has a weight.
+/// While the depth term has a weight, targets have exactly the known depths of their pixels; otherwise they have none.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -98,7 +98,7 @@ pub fn known_depths<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     let mut config = small();
     config.loss.depth = Schedule::new(vec![[0.0, 0.5], [0.5, 0.0]]);
     let mut views = noise(3, 32, 3, 4);
-    // The colour of a pixel is its number.
+    // The colour of a pixel encodes its number.
     for (pixel, number) in views.pixels.iter_mut().zip(0_u32..) {
         *pixel = [number as u8, (number >> 8) as u8, 0, 255];
     }
@@ -126,8 +126,8 @@ pub fn known_depths<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// With an error map, the backend draws the pixels that core draws, at every scale, with their known depths, whether or not pixels
-/// keep their photographs. Errors go to the pixels' cells, and the next map draws other pixels.
+/// With an error map, the backend draws the same pixels as core, at every scale and with their known depths, with and without exposure
+/// gains. Errors are added to the cells of the pixels, and the next map draws other pixels.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -139,7 +139,7 @@ pub fn error_map<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         config.loss.depth = Schedule::new(vec![[0.0, 0.5]]);
         config.loss.exposure = exposure;
         let mut views = noise(3, 80, 3, 4);
-        // The colour of a pixel is its number.
+        // The colour of a pixel encodes its number.
         for (pixel, number) in views.pixels.iter_mut().zip(0_u32..) {
             *pixel = [number as u8, (number >> 8) as u8, (number >> 16) as u8, 255];
         }

@@ -1,5 +1,5 @@
-//! Scenes with an analytic picture: a homogeneous medium (Beer and Lambert) and a box of one opaque colour. σ is
-//! density, L the length of a ray in the box, δ the marching step.
+//! Tests of scenes whose pictures are known analytically: a homogeneous medium (Beer and Lambert) and a box of one
+//! opaque colour. σ is the density, L the length of a ray in the box, δ the marching step.
 
 use crate::{fixtures, reference};
 use glam::DVec3;
@@ -29,8 +29,8 @@ fn render<B: Backend>(
     LoadedModel::new(backend, &Model::new(config.clone(), file))?.render(camera)
 }
 
-/// Density e⁻¹ and grey 1/2 everywhere, the values at logits of zero. Every pixel has the analytic opacity, colour and
-/// depth.
+/// If all logits are zero, the density is e⁻¹ and the colour grey 1/2 everywhere, and every pixel has the analytic
+/// opacity, colour and depth.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -57,7 +57,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let (origin, direction) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
             let (enter, leave) = reference::tile(&config, origin, direction).unwrap_or((0.0, 0.0));
             misses += usize::from(enter == leave);
-            // Number of steps whose middle lies in the box: L/δ rounded, so the quadrature covers L to half a step.
+            // Number of steps whose middle lies in the box: L/δ rounded, so the quadrature covers L to within half a
+            // step.
             let count = ((leave - enter) / step).round();
             let covered = 1.0 - (-sigma * count * step).exp();
             let exact = 1.0 - (-sigma * (leave - enter)).exp();
@@ -71,8 +72,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let expected = (1.0 - covered) * background + covered * 0.5;
                 assert!((f64::from(pixel.rgb[c]) - expected).abs() < tolerance, "pixel {i}: {pixel:?}");
             }
-            // ∫ σ·exp(−σ(t − t₀))·t dt over the box; the midpoint rule is off by half a step at the end of the box,
-            // weighted.
+            // ∫ σ·exp(−σ(t − t₀))·t dt over the box. The midpoint rule is off by up to half a step at the end of the
+            // box, times the weight there.
             let depth = f64::from(ray.cosine)
                 * ((enter + sigma.recip()) - (leave + sigma.recip()) * (-sigma * (leave - enter)).exp());
             let bound = 0.5 * step * sigma * (leave + step) + 8.0 * ROUNDING;
@@ -87,8 +88,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// One opaque colour in some cells only. Pixels whose ray crosses them for more than two steps have that colour, pixels
-/// whose ray misses them have the background, and the depth is that of the first occupied face.
+/// Some cells are filled with one opaque colour. Pixels whose ray crosses them for more than two steps have that colour
+/// and the depth of the first occupied face; pixels whose ray misses them show the background.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -123,7 +124,7 @@ pub fn silhouette<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 None => (config.data.background.map(f64::from), 0.0),
                 Some((enter, leave)) if leave - enter > 2.0 * step => {
                     let depth = f64::from(pixel.depth) / f64::from(ray.cosine);
-                    // The first midpoint lies within a step of the face; later samples weigh less than 1e-10.
+                    // The first midpoint lies within a step of the face; later samples have weights below 1e-10.
                     assert!(
                         (depth - enter - 0.5 * step).abs() <= 0.6 * step,
                         "pixel {i}: {depth}, face at {enter}"

@@ -1,4 +1,4 @@
-//! The samples kept of each ray, with their features and densities, against the reference.
+//! The samples kept of each ray, their features and their densities match the reference.
 
 use super::{Bench, marching, wide};
 use crate::{
@@ -17,17 +17,17 @@ use trimip_core::{
 /// Limits of transmittance and weight that keep all, most and few samples.
 const LIMITS: [(f32, f32); 4] = [(0.0, 0.0), (1e-4, 0.0), (0.3, 0.0), (1e-3, 0.01)];
 
-/// If a decision is this close to its limit, in logarithms, f32 may decide otherwise: an error of 4e-5 in the features,
-/// amplified by the density network, over several hundred samples of optical depth 0.1.
+/// Distance of a decision from its limit, in logarithms, below which f32 may decide otherwise. It comes from an error of 4e-5 in
+/// the features, amplified by the density network, over several hundred samples of optical depth 0.1.
 const MARGIN: f64 = 2e-3;
 
-/// Fraction of rays that may have such a decision: a ray whose samples merge passes the limit of the weight several times.
+/// Largest fraction of rays with such a decision; large, because a ray whose samples merge passes the weight limit several times.
 const DOUBTFUL_FRACTION: f64 = 0.2;
 
-/// Features and densities: the errors of both stages in [`super::stages`], compounded.
+/// Tolerance of features and densities: the errors of both stages in [`super::stages`], compounded.
 const TOLERANCE: f64 = 5e-4;
 
-/// A backend with varied rays and a half-empty grid, with the given pruning limits.
+/// Returns a backend with varied rays, a half-empty occupancy grid and the given pruning limits.
 fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip_core::Config)> {
     let mut config = marching::configuration(32);
     (config.renderer.min_transmittance, config.renderer.min_weight) = limits;
@@ -37,7 +37,7 @@ fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip
     let last = layout.network("density").last().map_or(0..0, |slot| slot.range.clone());
     parameters[last].iter_mut().for_each(|weight| *weight *= 4.0);
     let mut bench = Bench::new(backend, &config, None, &parameters)?;
-    // A backend may march over several samples at once, as the cells' densities allow. Cells are empty, thin, opaque after
+    // If the densities of cells allow it, a backend may march over several samples at once. Cells are empty, thin, opaque after
     // some steps, or opaque at once.
     let mut random = TestRandom::new(9);
     let density = |_| match random.below(40) {
@@ -52,7 +52,7 @@ fn bench<B: Backend>(backend: B, limits: (f32, f32)) -> Result<(Bench<B>, trimip
     Ok((bench, config))
 }
 
-/// Intervals and spheres of every ray.
+/// Returns the intervals and spheres of every ray.
 fn samples<B: Backend>(bench: &Bench<B>) -> Vec<Vec<(Interval, Sphere)>> {
     let (backend, samples) = (&bench.backend, &bench.workspace.samples);
     let (intervals, spheres) = (backend.read(&samples.intervals), backend.read(&samples.spheres));
@@ -61,8 +61,8 @@ fn samples<B: Backend>(bench: &Bench<B>) -> Vec<Vec<(Interval, Sphere)>> {
     segments.iter().map(|s| pairs[s.start as usize..(s.start + s.count) as usize].to_vec()).collect()
 }
 
-/// Of the marched samples, the visibility pass keeps those that the reference rule keeps at the reference densities, with
-/// the lengths that they represent, and stores their features and densities.
+/// The visibility pass keeps those marched samples that the reference rule keeps at the reference densities. It stores the
+/// lengths that the kept samples represent, and their features and densities.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -130,7 +130,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// The complete output of the visibility pass for colour and compositing, as bytes for bitwise comparison.
+/// Returns the complete output of the visibility pass, which colour and compositing read, as bytes to compare bit by bit.
 fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, all: bool) -> Vec<Vec<u8>> {
     let Bench { backend, stages, workspace, parameters } = bench;
     if all {
@@ -153,8 +153,8 @@ fn seen<B: Backend>(bench: &mut Bench<B>, stride: usize, jitter: Option<u64>, al
     ]
 }
 
-/// A backend with its own visibility pass gives the same bits as evaluating every sample. The test is trivial for a backend
-/// without one.
+/// A backend's own visibility pass gives the same bits as evaluating every sample. For a backend without its own pass the test is
+/// trivial.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

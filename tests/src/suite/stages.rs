@@ -1,4 +1,4 @@
-//! Each stage against the reference: features, density and colour, compositing, whole pixels.
+//! Each stage matches the reference: features, density and colour, compositing, whole pixels.
 
 use super::{Bench, wide};
 use crate::{
@@ -16,21 +16,23 @@ use trimip_core::{
     field::encoders,
 };
 
-/// Features of texels in ±1 on planes up to 64 wide. A coordinate in texels is rounded to 64·2⁻²⁴ = 4e-6, and a texel
-/// differs from its neighbour by up to 2, on both axes; blending the levels adds as much.
+/// Tolerance of features, for texels in ±1 on planes up to 64 texels wide. A coordinate in texels is rounded to
+/// 64·2⁻²⁴ = 4e-6, and a texel differs from its neighbour by up to 2, on both axes; blending the levels doubles the
+/// error.
 const FEATURE_TOLERANCE: f64 = 4e-5;
 
-/// Colours and densities, absolute and relative: a logit of order 5 summed over 16 to 48 products in f32.
+/// Tolerance of colours and densities, absolute and relative: a logit of order 5 is the sum of 16 to 48 products in
+/// f32.
 const FIELD_TOLERANCE: f64 = 2e-5;
 
-/// Compositing alone, relative to values of order 1: forty additions in f32.
+/// Tolerance of compositing without the other stages, relative to values of order 1: forty additions in f32.
 const COMPOSITE_TOLERANCE: f64 = 1e-5;
 
-/// A whole pixel: feature errors, amplified by the networks' slope of about 10, over some twenty samples.
+/// Tolerance of a whole pixel: feature errors, amplified by the networks' slope of about 10, over some twenty samples.
 const PIXEL_TOLERANCE: f64 = 5e-4;
 
-/// If ln T of a sample is this close to the limit, either pruning decision is correct. The margin is the error of the
-/// densities.
+/// If ln T of a sample is this close to the limit, either pruning decision is correct. The margin covers the error of
+/// the densities.
 const PRUNING_MARGIN: f64 = 1e-3;
 
 fn configurations() -> Vec<Config> {
@@ -38,12 +40,12 @@ fn configurations() -> Vec<Config> {
     code.encoder.level = LevelFormula::Code;
     (code.encoder.plane_size, code.encoder.levels) = (64, 7);
     (code.field.hidden, code.field.density_layers, code.field.color_layers) = (48, 2, 4);
-    // A box with three different sides: each plane has its own base radius.
+    // The box has three different sides, so each plane has its own base radius.
     (code.scene.aabb_min, code.scene.aabb_max) = ([-1.0, -1.5, -0.5], [2.0, 1.5, 0.75]);
     let mut flat = small();
     flat.encoder.mipmap = false;
     flat.field.directions = false;
-    // The same box under square texels: planes of 64, 64 and 32.
+    // The same box with square texels: 64, 64 and 32 along its axes.
     let mut fitted = small();
     (fitted.encoder.plane_size, fitted.encoder.levels) = (64, 4);
     fitted.encoder.shape = PlaneShape::Box;
@@ -51,7 +53,7 @@ fn configurations() -> Vec<Config> {
     [vec![code, flat, fitted], every_variant()].concat()
 }
 
-/// Spheres all over the box and on its border, with radii from zero to far beyond the coarsest level.
+/// Returns spheres all over the box and on its border, with radii from zero to far beyond the coarsest level.
 pub fn spheres(seed: u64, count: usize) -> Vec<Sphere> {
     let mut random = TestRandom::new(seed);
     let radii = [0.0, 1e-30, 1e-3, 0.05, 0.2, 0.8, 3.0, 1e4, f32::INFINITY];
@@ -74,7 +76,7 @@ fn close(found: f64, expected: f64, tolerance: f64) -> bool {
     (found - expected).abs() <= tolerance * expected.abs().max(1.0)
 }
 
-/// Rays in random directions, and as many intervals on each, from nothing to far longer than a texel.
+/// Returns rays in random directions, and `count` intervals from length 0 to far longer than a texel.
 fn lines(seed: u64, rays: usize, count: usize) -> (Vec<Ray>, Vec<Interval>) {
     let mut random = TestRandom::new(seed);
     let ray = |direction: DVec3| Ray { direction: direction.to_array().map(|x| x as f32), ..Ray::default() };
@@ -88,7 +90,7 @@ fn lines(seed: u64, rays: usize, count: usize) -> (Vec<Ray>, Vec<Interval>) {
     (rays, (0..count).map(|_| interval(&mut random)).collect())
 }
 
-/// Features, densities and colours of random samples.
+/// Features, densities and colours of random samples match the reference.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -148,7 +150,8 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Compositing of given samples: no sample, thin ones, an opaque one in the middle, forty of all kinds.
+/// Compositing matches the reference for given samples: none, thin ones, an opaque one in the middle, forty of all
+/// kinds.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -208,7 +211,7 @@ fn assert_pixel(found: &Pixel, expected: &Composited, tolerance: f64, place: &st
     }
 }
 
-/// Whole pixels of a camera, with and without pruning.
+/// Whole pixels of a camera match the reference, with and without pruning.
 ///
 /// # Errors
 /// When the backend refuses the configuration.
@@ -241,8 +244,8 @@ pub fn pixels<B: Backend>(make: impl Fn() -> B) -> Result<()> {
                 let (count, margin) = kept(&config, &samples, &reference.densities(&samples));
                 pruned += samples.len() - count;
                 let expected = reference.pixel(&ray, &samples[..count]);
-                // Keeping or dropping a sample at the limit changes the pixel by the transmittance after it times its
-                // distance.
+                // Keeping or dropping a sample at the limit changes the pixel by the transmittance behind the sample
+                // times the sample's distance.
                 let edge = if margin < PRUNING_MARGIN { 8.0 * f64::from(min_transmittance) } else { 0.0 };
                 assert_pixel(pixel, &expected, PIXEL_TOLERANCE + edge, &format!("pixel {i}"));
             }

@@ -1,4 +1,4 @@
-//! Training: a resumed run equals an uninterrupted one, and poor data causes no failure.
+//! Tests of training: a resumed run equals an uninterrupted one, and poor data causes no failure.
 
 use crate::{
     fixtures::{self, photographs},
@@ -19,7 +19,7 @@ use trimip_core::{
     scene::known_space::{Confinement, KnownSpace},
 };
 
-/// A configuration with cheap steps. The occupancy warm-up ends at step 8, with a refresh every 4 steps.
+/// Returns a configuration with cheap steps. The occupancy warm-up ends at step 8, and the grid is refreshed every 4 steps.
 pub fn configuration() -> Config {
     let mut config = fixtures::small();
     config.renderer.steps_per_diagonal = 64;
@@ -28,7 +28,7 @@ pub fn configuration() -> Config {
     config
 }
 
-/// A configuration whose steps draw their pixels by the error map, and only half of their samples.
+/// Returns a configuration whose steps draw their pixels by the error map, and later only half of their samples.
 pub fn drawn() -> Config {
     let mut config = configuration();
     config.train.backward_fraction = Schedule::new(vec![[0.0, 1.0], [0.1, 0.5]]);
@@ -49,8 +49,8 @@ pub fn steps<B: Backend>(trainer: &mut Trainer<B>, config: &Config, count: u64) 
     Ok(())
 }
 
-/// A run that is resumed in a new trainer from a checkpoint, written and read, equals the uninterrupted run bit for bit: every
-/// tensor and counter. `file` is the path of the checkpoint.
+/// A run that a new trainer resumes from a checkpoint file equals the uninterrupted run bit for bit, in every tensor and counter. `file`
+/// is the path of the checkpoint.
 ///
 /// # Errors
 /// When a step or the file fails.
@@ -63,8 +63,8 @@ pub fn resume<B: Backend>(make: impl Fn() -> B, file: &std::path::Path) -> Resul
     resume_with(&make, &drawn(), file)
 }
 
-/// A schedule that changes everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows, colours see
-/// directions from step 6 on, and more cells of the occupancy grid can be occupied from steps 8 and 12 on.
+/// Returns a configuration whose schedules change everything during the run: planes grow at steps 5 and 9, steps shorten, the batch grows,
+/// colours depend on directions from step 6 on, and more cells of the occupancy grid can be occupied from steps 8 and 12 on.
 ///
 /// # Errors
 /// When the settings are refused.
@@ -147,8 +147,8 @@ pub fn confined<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// Until the end of `field.direction_delay` the direction weights and their moments are 0, so colours do not depend on the
-/// direction. All other weights are trained from the start, the direction weights from then on.
+/// Until the end of `field.direction_delay` the direction weights and their moments are 0, so colours do not depend on the direction.
+/// After it the direction weights are trained; all other weights are trained from the start.
 ///
 /// # Errors
 /// When a step fails.
@@ -178,9 +178,9 @@ pub fn delayed_directions<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A non-finite loss is an error, [`Backend::LAG`] steps late. Without lag, the parameters and moments are those before the step.
-/// With lag, the trainer returns none of its state. In both cases it continues from an earlier checkpoint with the bits of an
-/// unbroken run.
+/// A non-finite loss causes an error, [`Backend::LAG`] steps later. Without lag, the parameters and moments then are those before the
+/// step. With lag, the trainer refuses to return its state. In both cases the trainer can be restored from an earlier checkpoint and
+/// continues with the bits of an undisturbed run.
 ///
 /// # Errors
 /// When a healthy step fails.
@@ -250,7 +250,7 @@ pub fn assets<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A run that ends before its planes reach their full size renders the same as its model file.
+/// A run that ends before its planes reach their full size renders the same pictures as its model file.
 ///
 /// # Errors
 /// When the settings are refused or a step fails.
@@ -273,7 +273,7 @@ pub fn finish_early<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// When the marching step shrinks to a quarter, the batch keeps its number of samples, not of rays.
+/// When the marching step shrinks to a quarter, the batch keeps its number of samples, not its number of rays.
 ///
 /// # Errors
 /// When a step fails.
@@ -307,7 +307,7 @@ fn same(found: &Checkpoint, expected: &Checkpoint, run: &str) {
     }
 }
 
-/// [`resume`] for one configuration.
+/// Checks [`resume`] for one configuration.
 ///
 /// # Errors
 /// When a step or the file fails.
@@ -316,7 +316,7 @@ pub fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &st
     let mut whole = Trainer::new(make(), config, views())?;
     steps(&mut whole, config, 18)?;
     let expected = whole.checkpoint()?;
-    // A run with checkpoints right after the start, and before, at and after a refresh and the end of the warm-up.
+    // This run writes checkpoints right after the start, and before, at and after a refresh and the end of the warm-up.
     let mut kept = Trainer::new(make(), config, views())?;
     let mut done = 0;
     for stop in [1, 4, 7, 8, 9, 16] {
@@ -337,13 +337,13 @@ pub fn resume_with<B: Backend>(make: &impl Fn() -> B, config: &Config, file: &st
     Ok(())
 }
 
-/// One step updates both moments of every parameter by the published rule with the gradient of its rays, and the
-/// parameter by the published rule with these moments, however the backend splits the work. With "skip", texels without
-/// a gradient stay bit-identical. Data derived from the parameters is updated.
+/// One step updates both moments of every parameter by the published rule with the gradient of the step's rays, and then the parameter by
+/// the published rule with these moments, however the backend splits the work. With `untouched = "skip"`, texels without a gradient stay
+/// bit-identical. Data derived from the parameters is updated too.
 ///
-/// `spread` is the share of a tensor's largest gradient by which two sums of the same contributions may differ: 0 if
-/// the order of addition is fixed. If the spread exceeds the gradient, the step may go in any direction; the parameter
-/// is therefore compared using the moments that the backend wrote.
+/// `spread` is the share of a tensor's largest gradient by which two sums of the same contributions may differ: 0 if the order of addition
+/// is fixed. If the spread exceeds a gradient, the parameter may move in either direction; it is therefore compared using the moments that
+/// the backend wrote.
 ///
 /// # Errors
 /// When a step fails.
@@ -409,7 +409,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
                 }
                 let [x, m, v] = [&old[0], &old[1], &old[2]].map(|values| f64::from(values[i]));
                 let [new_x, new_m, new_v] = [&new[0], &new[1], &new[2]].map(|values| f64::from(values[i]));
-                // The loss has `tensor.sparsity` times the mean of each of the three absolute factors of density (L1).
+                // The loss includes `tensor.sparsity` times the mean absolute value of each of the three factors of density (L1).
                 let sparsity =
                     match config.encoder.kind == EncoderKind::Tensor && slot.name.starts_with("density_") {
                         true => 3.0 * f64::from(config.tensor.sparsity[0]) / slot.range.len() as f64,
@@ -423,7 +423,7 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
                         "{what} of {name}[{i}]: {found}, not {expected}"
                     );
                 };
-                // About eight roundings of 6e-8 each, on the terms of each value; a device may reduce denormals to zero.
+                // About eight roundings of 6e-8 each, on the terms of each value; a device may flush denormals to zero.
                 let (rounding, least) = (5e-7, f64::from(f32::MIN_POSITIVE));
                 let [first, second] = moments(&config.optimizer, [m, v], g);
                 let [terms, _] = moments(&config.optimizer, [m.abs(), v], g.abs());
@@ -445,8 +445,8 @@ pub fn update<B: Backend>(make: impl Fn() -> B, spread: f64) -> Result<()> {
     Ok(())
 }
 
-/// Photographs with little information: all white, all clear, one view, one pixel, one pixel at the coarse scale, nothing of the
-/// box.
+/// Returns photographs with little information: all white, all transparent, one view, one pixel, one pixel at the coarse scale, nothing of
+/// the box in view.
 fn poor() -> Vec<(&'static str, ViewSet)> {
     let camera = |size, i: u32| {
         let origin = DVec3::new(4.0 * f64::from(i).cos(), 4.0 * f64::from(i).sin(), 1.0);
@@ -486,7 +486,7 @@ pub fn poor_photographs<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// If all cells of a grid are emptied, the next refresh fills it, and training continues.
+/// If all cells of an occupancy grid are emptied, the next refresh fills it, and training continues.
 ///
 /// # Errors
 /// When a step fails.
@@ -518,7 +518,7 @@ pub fn empty_occupancy<B: Backend>(make: impl Fn() -> B) -> Result<()> {
     Ok(())
 }
 
-/// A step trains even if it asks for fewer samples than the cones of one pixel have.
+/// A step trains even if the requested number of samples is below that of the cones of one pixel.
 ///
 /// # Errors
 /// When a step fails.

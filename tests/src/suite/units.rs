@@ -1,4 +1,5 @@
-//! The unit of length: a world that is larger by any factor has the same loss and the same gradients, if densities are smaller by it.
+//! The unit of length changes nothing: a world that is larger by any factor, with densities smaller by that factor, has the same loss and
+//! the same gradients.
 
 use crate::fixtures::{every_variant, lively, noise};
 use trimip_core::{
@@ -8,10 +9,10 @@ use trimip_core::{
     scene::depths::KnownDepth,
 };
 
-/// Rays of a step.
+/// Number of rays of a step.
 const RAYS: u32 = 200;
 
-/// The configuration of a world `times` as large.
+/// Returns the configuration of a world `times` as large.
 fn larger(config: &Config, times: f32) -> Config {
     let mut config = config.clone();
     for corner in config.scene.aabb_min.iter_mut().chain(&mut config.scene.aabb_max) {
@@ -22,7 +23,7 @@ fn larger(config: &Config, times: f32) -> Config {
     config
 }
 
-/// The photographs of a world `times` as large.
+/// Returns the photographs of a world `times` as large.
 fn seen(times: f64) -> ViewSet {
     let mut views = noise(4, 24, 2, 3);
     views.views.iter_mut().for_each(|view| view.camera.origin *= times);
@@ -35,8 +36,8 @@ fn seen(times: f64) -> ViewSet {
     views
 }
 
-/// Loss and gradient of a step in worlds of other units against those of the usual one: with distortion, opacity and depth terms, in
-/// bounded and contracted space, for every encoder whose features do not depend on lengths.
+/// The loss and the gradient of a step are the same in worlds of other units: with distortion, opacity and depth terms, in bounded and
+/// contracted space, for every encoder whose features do not depend on lengths.
 ///
 /// # Errors
 /// When the backend refuses the configuration.

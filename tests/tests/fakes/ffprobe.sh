@@ -1,4 +1,4 @@
 #!/bin/sh
-# Imitates ffprobe.
+# Imitates ffprobe: prints a prepared answer.
 PATH=/usr/bin:/bin
 cat "$(dirname "$0")/../probe"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Imitates glomap.
+# Imitates glomap: logs its call, and copies a prepared model.
 PATH=/usr/bin:/bin
 here=$(dirname "$0")/..
 echo "glomap $*" >> "$here/calls"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Imitates heif-convert: the file contains a JPEG after its first line.
+# Imitates heif-convert: copies the JPEG that the file contains after its first line.
 PATH=/usr/bin:/bin
 here=$(dirname "$0")/..
 echo "heif-convert $*" >> "$here/calls"

@@ -15,10 +15,10 @@ use trimip_tests::binary::{Answer, command, run};
 pub const VIEWS: usize = 12;
 pub const SIDE: u32 = 48;
 
-/// A folder with photographs in `walk/` and programs in `fake/bin/`, the only ones on the path.
+/// A folder with photographs in `walk/`, and programs in `fake/bin/`; no other programs are on the path.
 pub struct Place {
     pub folder: tempfile::TempDir,
-    /// Camera to world, OpenGL axes, of each photograph.
+    /// Camera-to-world matrix of each photograph, with OpenGL axes.
     poses: Vec<[[f64; 4]; 4]>,
     focal: f64,
 }
@@ -139,7 +139,7 @@ impl Place {
             for pixel in 0..64 * 64_usize {
                 let (x, y) = ((pixel % 64 + 2 * frame) as f64, (pixel / 64) as f64);
                 let wave = (0.21 * x).sin() + (0.17 * x + 0.33 * y).sin() + (0.37 * y - 0.11 * x).sin();
-                // Fine detail, which a blurred frame lacks.
+                // The sharp frames have fine detail, which a blurred frame lacks.
                 let fine = if frame % 4 == 1 && (pixel + pixel / 64) % 2 == 0 { 12 } else { 0 };
                 raw.push((120.0 + 35.0 * wave) as u8 + fine);
             }
@@ -161,13 +161,13 @@ impl Place {
         fs::write(self.path(film), "a film").unwrap();
     }
 
-    /// Adds a model of these photographs, named by `name`, as the mapper's model `number`.
+    /// Adds a COLMAP model of the photographs `views` as the mapper's model `number`; `name` returns the name of a photograph.
     pub fn model(&self, number: u32, views: &[usize], name: impl Fn(usize) -> String) {
         self.model_in(&format!("fake/models/{number}"), views, &[], name);
     }
 
-    /// Adds models of all photographs by their own names, with some cameras far away: one of the mapper, and one of the mapper without
-    /// distortion.
+    /// Adds two COLMAP models of all photographs under their own names: one of the mapper, in which the cameras `lost` are far away, and
+    /// one of the mapper without distortion, in which the cameras `undistorted` are.
     pub fn lost_models(&self, lost: &[usize], undistorted: &[usize]) {
         let whole: Vec<usize> = (0..VIEWS).collect();
         for (folder, lost) in [("fake/models/0", lost), ("fake/undistorted/models/0", undistorted)] {
@@ -189,7 +189,7 @@ impl Place {
         for (id, &view) in (1..).zip(views) {
             let rows = self.poses[view];
             let row = |row: usize| DVec3::new(rows[row][0], -rows[row][1], -rows[row][2]);
-            // Rotation to the world from a camera that looks along +z.
+            // Rotation from the axes of a camera that looks along +z to those of the world.
             let to_world = DMat3::from_cols(row(0), row(1), row(2)).transpose();
             let far = if lost.contains(&view) { 1e9 } else { 1.0 };
             let origin = far * DVec3::new(rows[0][3], rows[1][3], rows[2][3]);
@@ -210,7 +210,7 @@ impl Place {
         sparse.write_binary(&self.path(folder));
     }
 
-    /// Adds the model of all photographs by their own names.
+    /// Adds a COLMAP model of all photographs under their own names.
     pub fn whole_model(&self) {
         self.model(0, &(0..VIEWS).collect::<Vec<_>>(), |view| format!("{view:02}.jpg"));
     }

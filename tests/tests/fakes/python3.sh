@@ -1,5 +1,5 @@
 #!/bin/sh
-# Imitates a Python with pycolmap, and the stages of the script by name.
+# Imitates a Python with pycolmap: runs the named stage of the script.
 PATH=/usr/bin:/bin
 here=$(dirname "$0")/..
 if [ "$1" = -c ]; then

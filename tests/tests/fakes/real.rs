@@ -1,5 +1,5 @@
-//! The verb `capture` with the real programs, with `TRIMIP_REQUIRE_COLMAP=1`. They take minutes, and COLMAP's threads make its cameras
-//! differ in every run.
+//! Checks of the verb `capture` with the real programs, if `TRIMIP_REQUIRE_COLMAP=1` is set. The programs take minutes, and because of
+//! COLMAP's threads its cameras differ in every run.
 
 use glam::DVec3;
 use serde_json::Value;
@@ -18,7 +18,7 @@ use trimip_data::{
 };
 use trimip_tests::binary::run;
 
-/// Fails unless the programs are on the path of the test.
+/// Asserts that the programs are on the path of the test.
 fn expect_programs(names: &[&str]) {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let is_there = |name: &&&str| std::env::split_paths(&path).any(|folder| folder.join(name).is_file());
@@ -26,7 +26,7 @@ fn expect_programs(names: &[&str]) {
     assert!(missing.is_empty(), "{missing:?} are required");
 }
 
-/// Number of frames in the film of the built-in scene, and of frames taken from it.
+/// Number of frames in the film of the built-in scene, and number of frames taken from it.
 const FILMED: u32 = 60;
 const TAKEN: usize = 20;
 
@@ -64,8 +64,8 @@ fn film_of_the_builtin_scene(film: &Path) -> Vec<DVec3> {
     places
 }
 
-/// Asserts that the distances between the cameras of a capture match those of the film up to scale, whatever the position and rotation
-/// of the whole. Returns the number of cameras.
+/// Asserts that the distances between the cameras of a capture match those of the film up to scale. Distances do not depend on the
+/// position and rotation of the capture. Returns the number of cameras.
 fn expect_places(capture: &Path, truth: &[DVec3]) -> usize {
     let pictures: Value =
         serde_json::from_slice(&fs::read(capture.join("state/pictures.json")).unwrap()).unwrap();
@@ -91,8 +91,8 @@ fn expect_places(capture: &Path, truth: &[DVec3]) -> usize {
     let (real, own) = pairs().fold((0.0, 0.0), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
     let mut off: Vec<f64> = pairs().map(|(a, b)| (a - b * real / own).abs()).collect();
     off.sort_by(f64::total_cmp);
-    // Cameras are 3 from the scene, and neighbours 0.27 from each other. From so small a film, COLMAP finds the lens within some
-    // percent.
+    // Cameras are 3 units from the scene, and neighbouring cameras 0.27 units from each other. From so small a film, COLMAP finds the lens
+    // to within a few percent.
     let (median, worst) = (off[off.len() / 2], off[off.len() - 1]);
     println!("distances are off by {median:.3} in the median, {worst:.3} at most");
     assert!(median < 0.1 && worst < 0.5, "distances are off by {median} in the median, {worst} at most");

@@ -10,11 +10,11 @@ pub struct Law<'a> {
     pub law: &'a str,
     /// The backend that was measured.
     pub backend: &'a str,
-    /// The largest error, and the largest that is allowed.
+    /// The largest error that was measured, and the largest error that is allowed.
     pub worst: [f64; 2],
 }
 
-/// The whole page of the laws.
+/// Returns the page of the laws as HTML.
 pub fn page(laws: &[Law<'_>]) -> String {
     let head = ["case", "law", "backend", "worst", "bound"].map(String::from);
     let row = |law: &Law<'_>| {

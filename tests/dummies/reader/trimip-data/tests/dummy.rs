@@ -1,12 +1,12 @@
-//! Cameras on a rail: the rays of `dummy.txt` match those of the same cameras in `transforms.json`, and the error for an invalid
-//! line names its place.
+//! Checks of the reader of cameras on a rail: the rays of `dummy.txt` match those of the same cameras in `transforms.json`, and
+//! the error for an invalid line names the file and the line.
 
 use crate::common::{assert_same, save_image, settings, write};
 use serde_json::json;
 use std::{fs, path::Path};
 use trimip_data::open;
 
-/// Photographs of a scene, and their focal length in pixels.
+/// Number of photographs in a scene, and their focal length in pixels.
 const FRAMES: usize = 10;
 const FOCAL: f64 = 20.5;
 
@@ -14,7 +14,7 @@ fn photographs(root: &Path) {
     (0..FRAMES).for_each(|index| save_image(&root.join(format!("{index}.png")), 16, 12));
 }
 
-/// A scene with `last` in place of its last line.
+/// Writes a scene whose last line is `last`.
 fn rail(root: &Path, last: &str) {
     photographs(root);
     let lines = (0..FRAMES - 1).map(|index| format!("{index}.png {FOCAL} {index} -0.5 4.25\n"));
@@ -37,7 +37,7 @@ fn rays_are_those_of_the_same_cameras_in_a_transforms_file() {
     assert_same(&own.train, &other.train);
     assert_eq!((own.test.len(), other.test.len()), (2, 2));
     assert_same(&own.test.load(1).unwrap(), &other.test.load(1).unwrap());
-    // Column 3 of row 2 lies left of the middle and above it.
+    // Pixel (3, 2) lies to the left of the principal point and above it.
     let cone = own.train.views[0].camera.cone::<f64>(3, 2);
     let ([x, y, z], side) = (cone.direction, [(3.5 - 8.0) / FOCAL, (6.0 - 2.5) / FOCAL]);
     assert!((x / -z - side[0]).abs() < 1e-12 && (y / -z - side[1]).abs() < 1e-12, "{cone:?}");

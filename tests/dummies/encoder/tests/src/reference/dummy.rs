@@ -1,13 +1,13 @@
-//! Coordinates from their equation: lower·(1 − x) + upper·x.
+//! Reference of the coordinate encoder, written from its equation: lower·(1 − x) + upper·x.
 
 use super::{Literal, Sample};
 use trimip_core::Config;
 
-/// The encoding.
+/// The coordinate encoder.
 pub struct Dummy(Config);
 
 impl Dummy {
-    /// The encoding of a configuration.
+    /// Creates the encoder of a configuration.
     pub fn new(config: &Config) -> Self {
         Self(config.clone())
     }

@@ -1,4 +1,4 @@
-//! Coordinates on the CPU. They have no parameters, so no gradient flows back.
+//! The coordinate encoder on the CPU. It has no parameters, so it computes no gradient.
 
 use super::{Encoding, GradientMemory, Places};
 use crate::simd::Simd;
@@ -6,7 +6,7 @@ use crate::wire::Reader;
 use trimip_core::field::encoders::dummy::{Range, WIDTH};
 use trimip_core::{Config, Result};
 
-/// The encoding.
+/// The coordinate encoder.
 pub(crate) struct Dummy(Range<f32>);
 
 impl Encoding for Dummy {

@@ -1,4 +1,4 @@
-//! Coordinates on the GPU. They have no parameters, so no gradient flows back.
+//! The coordinate encoder on the GPU. It has no parameters, so it computes no gradient.
 
 use super::{Encoding, FeatureGradients, Places, whole};
 use crate::gpu::Access::{Parameters, Read, Write};
@@ -18,13 +18,13 @@ shared! {
         upper: f32,
         /// Number of features.
         width: u32,
-        /// Floats in a row of features.
+        /// Number of floats in a row of features.
         stride: u32,
         counter: u32,
     }
 }
 
-/// Computes the features of samples.
+/// Returns the kernel that computes the features of samples.
 fn write() -> Kernel {
     Kernel::new(
         "dummy",
@@ -33,7 +33,7 @@ fn write() -> Kernel {
     )
 }
 
-/// The encoding.
+/// The coordinate encoder.
 pub(crate) struct Dummy {
     gpu: Arc<Gpu>,
     write: Pipeline,

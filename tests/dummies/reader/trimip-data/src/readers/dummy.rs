@@ -1,5 +1,5 @@
-//! Cameras on a rail: `dummy.txt` has a line for each photograph with its file, its focal length in pixels and the place of its
-//! camera. All cameras look along −z of the world, and y is up in their photographs.
+//! Cameras on a rail: `dummy.txt` has a line for each photograph with its file, its focal length in pixels and the position of
+//! its camera. All cameras look along −z of the world, and y is up in their photographs.
 
 use super::reader::{CameraFile, NamedCameras, OpenScene, Reader};
 use crate::{
@@ -28,12 +28,12 @@ pub(super) static READER: Reader = Reader {
     ..Reader::PLAIN
 };
 
-/// Two photographs.
+/// Returns a valid file with two photographs.
 fn example() -> Vec<u8> {
     b"a.png 9.5 0 0 4\nb.png 9.5 0.25 0 4\n".to_vec()
 }
 
-/// The cameras of a file.
+/// Returns the cameras of a file.
 fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
     let lines = lines(name, bytes)?;
     Ok(short_names(&lines).into_iter().zip(lines.iter().map(|line| line.camera(8, 6))).collect())
@@ -64,7 +64,7 @@ impl Line {
         Ok(Self { photograph, focal, origin, place })
     }
 
-    /// The camera of a photograph of that size.
+    /// Returns the camera of a photograph of the given size.
     fn camera(&self, width: u32, height: u32) -> Camera {
         let (cx, cy) = (0.5 * f64::from(width), 0.5 * f64::from(height));
         let (fx, fy, lens) = (self.focal, self.focal, Lens::default());
@@ -73,7 +73,7 @@ impl Line {
     }
 }
 
-/// The lines of a file.
+/// Parses the lines of a file.
 fn lines(name: &str, bytes: &[u8]) -> Result<Vec<Line>> {
     let text = String::from_utf8_lossy(without_mark(bytes));
     let written = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
@@ -120,7 +120,7 @@ impl Rail {
         Ok(Split { sources, warnings, notes, ..Split::default() })
     }
 
-    /// A frame with the header of its photograph.
+    /// Returns a frame, after reading the header of its photograph.
     fn source(&self, pictures: &Pictures, index: usize) -> Result<Source> {
         let Line { place, photograph, .. } = &self.lines[index];
         let image = Photograph::open(pictures.find(photograph, place)?.path, place.clone())?;

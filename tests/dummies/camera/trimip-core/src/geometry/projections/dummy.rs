@@ -1,5 +1,5 @@
-//! Cylindrical panoramas: columns are angles around the camera's y axis, rows are heights on a cylinder of radius 1 around it. Focal
-//! lengths are pixels per radian and per unit of height. The middle looks along −z.
+//! Cylindrical panoramas: columns are angles around the camera's y axis, rows are heights on the cylinder of radius 1 around that axis.
+//! Focal lengths are pixels per radian and per unit of height. The principal point looks along −z.
 
 use super::{BallImage, Definition, LocalRay, Model, Projection, plain};
 use crate::Intrinsics;
@@ -27,7 +27,7 @@ impl Projection for Dummy {
         plain(Model::Dummy, [width, height], [0.8 * f64::from(width.min(height)); 2])
     }
 
-    /// Depth is distance: half of a panorama lies behind the plane of the camera.
+    /// The cosine is 1, so depth is distance along the ray: half of a panorama lies behind the plane of the camera.
     fn ray<R: Real>(k: &Intrinsics, at: [R; 2]) -> Option<LocalRay<R>> {
         let (zero, one) = (R::zero(), R::one());
         let [angle, y] = k.normalised(at);

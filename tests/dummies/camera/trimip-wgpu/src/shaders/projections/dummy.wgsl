@@ -1,6 +1,6 @@
-// Cylindrical panoramas; the same as `trimip_core::geometry::projections::dummy`.
+// Cylindrical panoramas, as in `trimip_core::geometry::projections::dummy`.
 
-// Returns the cone of an angle and a height.
+// Returns the cone of a pixel, whose column is an angle and whose row is a height.
 fn cone_dummy(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     let place = (at - view.intrinsics.zw) / view.intrinsics.xy;
     let height = -place.y;

@@ -1,17 +1,17 @@
-//! Coordinates as an encoder: the features of a sample are the coordinates of its centre in the unit cube, mapped to a range. It has
-//! no parameters.
+//! An encoder of coordinates: the features of a sample are the coordinates of its centre in the unit cube, mapped to a range. The encoder
+//! has no parameters.
 
 use super::definition::{Definition, Reference, SamplePosition};
 use crate::math::scalar::Real;
 use crate::{Config, Slot};
 
-/// Coordinates as an encoder.
+/// The coordinate encoder.
 pub struct Dummy;
 
 /// Number of features.
 pub const WIDTH: usize = 3;
 
-/// The map from a coordinate to a feature.
+/// The linear map from a coordinate to a feature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range<R> {
     /// The feature of coordinate 0.
@@ -21,13 +21,13 @@ pub struct Range<R> {
 }
 
 impl<R: Real> Range<R> {
-    /// The range of a configuration.
+    /// Returns the range of a configuration.
     pub fn new(config: &Config) -> Self {
         let [lower, upper] = [config.dummy.lower, config.dummy.upper].map(|end| R::from_f64(end.into()));
         Self { lower, upper }
     }
 
-    /// The features of a place in the unit cube.
+    /// Returns the features of a position in the unit cube.
     #[inline(always)]
     pub fn map(&self, position: [R; 3]) -> [R; WIDTH] {
         position.map(|x| self.lower + (self.upper - self.lower) * x)

@@ -1,4 +1,4 @@
-// The same as `trimip_core::field::encoders::dummy`: one invocation writes the features of one sample.
+// The encoder of `trimip_core::field::encoders::dummy`: one invocation writes the features of one sample.
 
 @group(0) @binding(0) var<storage, read> spheres: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read_write> features: array<f32>;

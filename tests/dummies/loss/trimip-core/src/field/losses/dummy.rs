@@ -1,5 +1,5 @@
-//! The Cauchy loss of a channel (Barron 2019, α = 0 and c = 1): log(d²/2 + 1). d is the difference of a channel. A large error weighs
-//! less than in smooth-L1.
+//! The Cauchy loss of a colour channel (Barron 2019, α = 0 and c = 1): log(d²/2 + 1), where d is the rendered minus the photographed
+//! value. A large error has less weight than in smooth-L1.
 
 use super::definition::{Definition, PhotometricTerm};
 use crate::Config;
