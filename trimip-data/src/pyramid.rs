@@ -152,6 +152,19 @@ mod tests {
         base[5] = [128, 2, 255, 255];
         let levels = build(&base, 4, 4, 3, Convention::Premultiplied);
         assert_eq!(levels[2], [[8, 0, 16, 255]]);
+
+        // Blocks of 2×2 pixels with one of value 3, per quarter of the image. Their means of 0.75 round to 1, and ten of 16 such
+        // blocks to 1 again; the mean of the image is 30/64, which rounds to 0.
+        let mut base = [[0, 0, 0, 255]; 64];
+        for (quarter, blocks) in [4, 3, 3, 0].into_iter().enumerate() {
+            for block in 0..blocks {
+                let (x, y) = (4 * (quarter % 2) + 2 * (block % 2), 4 * (quarter / 2) + 2 * (block / 2));
+                base[8 * y + x][0] = 3;
+            }
+        }
+        let levels = build(&base, 8, 8, 4, Convention::Premultiplied);
+        assert_eq!(levels[1].iter().filter(|pixel| pixel[0] == 1).count(), 10);
+        assert_eq!(levels[3], [[0, 0, 0, 255]]);
     }
 
     #[test]

@@ -114,7 +114,6 @@ fn fuzz(cases: u32, files: usize, law: impl Fn(usize, Vec<Edit>) -> Result<(), T
 /// Asserts that an error is of kind `Input`, has one line, and contains one of `names`.
 fn assert_told(error: &Error, names: &[&str]) -> Result<(), TestCaseError> {
     prop_assert_eq!(error.kind(), ErrorKind::Input);
-    prop_assert_eq!(error.kind(), ErrorKind::Input);
     prop_assert!(!error.message().contains('\n'), "{}", error);
     prop_assert!(names.iter().any(|name| error.message().contains(name)), "{}", error);
     Ok(())
