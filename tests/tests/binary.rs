@@ -276,9 +276,9 @@ fn verbs_answer() {
 
     let shown = good(&[&["config"][..], &tiny()].concat());
     assert!(
-        shown
-            .lines()
-            .any(|line| line.starts_with("plane_size") && line.contains("16") && line.ends_with("--set"))
+        shown.lines().any(|line| line.starts_with("plane_size")
+            && line.contains("16")
+            && line.ends_with("command line"))
     );
     let config = trimip_core::Config::from_toml("shown", &shown).unwrap();
     assert_eq!((config.encoder.plane_size, config.train.steps), (16, 20));

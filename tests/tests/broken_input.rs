@@ -159,7 +159,7 @@ fn wrong_settings_and_arguments_are_refused() {
         // The missing file is reported before any photograph is read, whether or not the build has LPIPS.
         (
             &["--set", "data.format=builtin", "--set", "eval.lpips=gone.onnx"],
-            &["gone.onnx", "eval.lpips=\"\""],
+            &["gone.onnx", "eval.lpips = \"\""],
         ),
         (&["eval"], &["MODEL"]),
         (&["eval", "gone"], &["gone"]),
