@@ -6,10 +6,10 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Writes `bytes` to a temporary file and renames it: readers see the old file or the complete new one.
+/// Writes `bytes` to a temporary file and renames it, so that readers see either the old file or the complete new one.
 ///
 /// # Errors
-/// When the file cannot be written; the old one is then unchanged.
+/// When the file cannot be written; the old file is then unchanged.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |file| file.write_all(bytes))
 }
@@ -22,8 +22,8 @@ pub fn temporary(path: &Path) -> PathBuf {
     name.into()
 }
 
-/// Lets `fill` write a temporary file next to `path`, flushes it to disk, renames it to `path` and flushes the folder. On
-/// failure the old file stays and the temporary one is removed.
+/// Lets `fill` write a temporary file next to `path`, flushes it to disk, renames it to `path` and flushes the folder.
+/// On failure the old file stays unchanged, and the temporary file is removed.
 pub(crate) fn replace_atomically<T>(
     path: &Path,
     fill: impl FnOnce(&mut File) -> std::io::Result<T>,
@@ -37,7 +37,7 @@ pub(crate) fn replace_atomically<T>(
         Ok(result)
     };
     let result = write().map_err(|error: std::io::Error| {
-        // A partial file only takes space, on a disk that may be full.
+        // Remove the partial file: it only takes space, on a disk that may be full.
         let _ = std::fs::remove_file(&temporary);
         Error::input(
             path.display(),
@@ -90,7 +90,7 @@ mod tests {
             Ok(())
         })
         .unwrap();
-        // The permissions are those of a plain file of the user.
+        // The permissions are those of any new file of the user.
         let rights = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
         std::fs::write(folder.path().join("plain"), "").unwrap();
         write_atomically(&path, b"new").unwrap();

@@ -1,6 +1,6 @@
-//! The typed configuration. `defaults.toml` holds defaults, ranges and meanings, [`Settings`] layers and origins, the
-//! submodules the sections and their choices, and `checks.rs` the constraints between settings. `foreign.rs` carries the
-//! sections that other crates own; [`Config::section`] gives their typed form.
+//! The typed configuration. `defaults.toml` holds the defaults, ranges and meanings of settings, and [`Settings`] their
+//! layers and origins. The submodules define the sections and their choices, and `checks.rs` the constraints between
+//! settings. `foreign.rs` carries the sections that other crates own; [`Config::section`] returns their typed form.
 
 mod checks;
 mod choices;
@@ -38,7 +38,7 @@ use crate::{Error, Origin, Result, Settings};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
-/// Every setting of a run: core's as fields, those of other crates in [`foreign`](Self::foreign).
+/// Every setting of a run: core's settings as fields, the settings of other crates in [`foreign`](Self::foreign).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -46,7 +46,7 @@ pub struct Config {
     pub backend: String,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// CPU threads; 0: all cores.
+    /// Number of CPU threads; 0 means all cores.
     pub threads: u32,
     /// Action for a run that is predicted to need more memory than is available.
     pub memory: MemoryChoice,
@@ -92,7 +92,7 @@ pub struct Config {
 }
 
 impl Default for Config {
-    /// The values of `defaults.toml`.
+    /// Returns the values of `defaults.toml`.
     fn default() -> Self {
         Self::from_settings(&Settings::defaults())
             .unwrap_or_else(|error| unreachable!("defaults.toml is tested: {error}"))
@@ -100,14 +100,14 @@ impl Default for Config {
 }
 
 impl OccupancyConfig {
-    /// Number of cells of the grid.
+    /// Returns the number of cells of the grid.
     pub fn cells(&self) -> usize {
         (self.resolution as usize).pow(3)
     }
 }
 
 impl Config {
-    /// The typed configuration of layered settings, with every range checked.
+    /// Converts layered settings to a typed configuration, and checks every range.
     ///
     /// # Errors
     /// When a value has the wrong type, is out of range, contradicts another setting or belongs to another encoder. The
@@ -122,7 +122,7 @@ impl Config {
         Ok(config)
     }
 
-    /// The typed form of settings, unchecked.
+    /// Converts settings to their typed form, without checks.
     fn of_settings(settings: &Settings, to: &Checker<'_>) -> Result<Self> {
         let core = Definitions::core();
         let own = || core.defaults().map(|(path, _)| path);
@@ -131,11 +131,11 @@ impl Config {
         Ok(config)
     }
 
-    /// Parses one effective configuration as written in a run folder or a model; `name` is used in errors. Settings of other
-    /// crates than core are carried along; [`section`](Self::section) checks them.
+    /// Parses one effective configuration as written in a run folder or a model; `name` names the text in errors.
+    /// Settings of other crates than core are carried along; [`section`](Self::section) checks them.
     ///
     /// # Errors
-    /// When the text is no TOML, or as [`from_settings`](Self::from_settings).
+    /// When the text is not TOML, or as [`from_settings`](Self::from_settings).
     pub fn from_toml(name: &str, text: &str) -> Result<Self> {
         expect_encoder(name, text)?;
         let mut settings = Settings::carrying(Definitions::core());
@@ -143,8 +143,8 @@ impl Config {
         Self::from_settings(&settings)
     }
 
-    /// The configuration as TOML text. Settings of unused encoders are left out, because a later version may have other
-    /// defaults for them.
+    /// Returns the configuration as TOML text. Settings of unused encoders are left out, because a later version may
+    /// have other defaults for them.
     pub fn to_toml(&self) -> String {
         let text = self.whole_text();
         let (mut section, mut head, mut own) = (String::new(), String::new(), String::new());
@@ -165,7 +165,7 @@ impl Config {
 
     /// Returns the differences in settings that affect the model: all settings except those that their definitions mark
     /// as free, such as device, threads, evaluation, scene plan and model file. A checkpoint with such a difference is
-    /// refused. Settings without a definition on either side have no effect here and are skipped.
+    /// rejected. Settings without a definition on either side have no effect here and are skipped.
     pub fn differences(&self, other: &Self) -> Vec<String> {
         let (ours, theirs) = (&self.foreign, &other.foreign);
         let definitions = [ours.definitions(), theirs.definitions()];
@@ -193,7 +193,7 @@ impl Config {
         differences
     }
 
-    /// The configuration as settings.
+    /// Returns the configuration as settings.
     fn as_settings(&self) -> Settings {
         let mut settings = Settings::carrying(self.foreign.definitions().clone());
         settings
@@ -202,14 +202,14 @@ impl Config {
         settings
     }
 
-    /// Every setting as TOML text.
+    /// Returns every setting as TOML text.
     fn whole_text(&self) -> String {
         let own = toml::to_string(self).unwrap_or_else(|error| unreachable!("plain data: {error}"));
         self.foreign.put_into(&own)
     }
 }
 
-/// Refuses the configuration of a model or run with an encoder that this build does not have. This check comes first,
+/// Rejects the configuration of a model or run with an encoder that this build does not have. This check comes first,
 /// because the settings of such an encoder are unknown here.
 fn expect_encoder(name: &str, text: &str) -> Result<()> {
     let table = toml::from_str::<toml::Table>(text).unwrap_or_default();

@@ -30,18 +30,18 @@ pub enum Place {
     File(PathBuf),
     /// A position in a text file.
     Text {
-        /// The file, or the name of a text that is in none.
+        /// The file, or the name of a text that is not in a file.
         file: PathBuf,
-        /// From 1.
+        /// Number of the line, from 1.
         line: usize,
-        /// From 1, if it is known.
+        /// Number of the column, from 1, if it is known.
         column: Option<usize>,
     },
     /// A part of a file: a frame, a tensor, an entry.
     Part {
         /// The file.
         file: PathBuf,
-        /// Its part, such as `frame 3`.
+        /// Part of the file, such as `frame 3`.
         part: String,
     },
     /// A setting with its value.
@@ -55,9 +55,9 @@ pub enum Place {
     },
     /// An argument of a function or program.
     Argument {
-        /// Its name.
+        /// Name of the argument.
         name: String,
-        /// Its value, if that is the fault.
+        /// Value of the argument, if the value is at fault.
         value: Option<String>,
     },
     /// Any other place, in words.
@@ -65,27 +65,27 @@ pub enum Place {
 }
 
 impl Place {
-    /// An argument with its value.
+    /// Creates the place of an argument with its value.
     pub fn argument(name: impl Into<String>, value: impl Display) -> Self {
         Self::Argument { name: name.into(), value: Some(value.to_string()) }
     }
 
-    /// An argument, whatever its value is.
+    /// Creates the place of an argument, whatever its value is.
     pub fn option(name: impl Into<String>) -> Self {
         Self::Argument { name: name.into(), value: None }
     }
 
-    /// A part of a file.
+    /// Creates the place of a part of a file.
     pub fn part(file: impl Into<PathBuf>, part: impl Display) -> Self {
         Self::Part { file: file.into(), part: part.to_string() }
     }
 
-    /// A line of a text file, from 1.
+    /// Creates the place of a line of a text file; lines are counted from 1.
     pub fn line(file: impl Into<PathBuf>, line: usize) -> Self {
         Self::Text { file: file.into(), line, column: None }
     }
 
-    /// A part of this place.
+    /// Returns a part of this place.
     pub fn within(&self, part: impl Display) -> Self {
         match self {
             Self::File(file) => Self::part(file, part),
@@ -94,7 +94,7 @@ impl Place {
         }
     }
 
-    /// The file of the place, if it is in one.
+    /// Returns the file of the place, if the place is in a file.
     pub fn file(&self) -> Option<&Path> {
         match self {
             Self::File(file) | Self::Text { file, .. } | Self::Part { file, .. } => Some(file),
@@ -144,7 +144,7 @@ impl From<std::path::Display<'_>> for Place {
     }
 }
 
-/// Converts words into a variant that holds them.
+/// Implements the conversion of texts into a variant that holds text.
 macro_rules! in_words {
     ($($name:ident::$variant:ident: $($text:ty),+;)+) => {
         $($(
@@ -162,7 +162,7 @@ in_words! {
     Advice::Words: &str, String, &String, Cow<'_, str>;
 }
 
-/// What to do about an [`Error`].
+/// Advice on what to do about an [`Error`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Advice {
@@ -172,11 +172,11 @@ pub enum Advice {
     StartOver,
     /// Another folder has to be chosen for what is written.
     OtherFolder,
-    /// Another argument is to be used or left out: a text in which `{name}` stands for the argument of this name.
+    /// An argument has to be used or left out: a text in which `{name}` stands for the argument of this name.
     Argument(String),
-    /// In words.
+    /// Any other advice, in words.
     Words(String),
-    /// One of several.
+    /// One of several pieces of advice.
     AnyOf(Vec<Advice>),
 }
 
@@ -204,12 +204,12 @@ pub struct Error(Box<Parts>);
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Parts {
     kind: ErrorKind,
-    /// The process in which it happened, if several train together.
+    /// The process in which the error happened, if several processes train together.
     rank: Option<usize>,
     place: Option<Place>,
     found: String,
     advice: Option<Advice>,
-    /// What else is to be known, such as what was kept.
+    /// Further information, such as what was kept.
     notes: Vec<String>,
     #[serde(skip)]
     source: Option<Arc<dyn std::error::Error + Send + Sync>>,
@@ -224,27 +224,27 @@ impl Error {
         Self(Box::new(Parts { kind, rank: None, place, found, advice, notes: Vec::new(), source: None }))
     }
 
-    /// The user's input is wrong: `found` is the fault at `place`.
+    /// Creates an error for wrong input by the user: `found` is the fault at `place`.
     pub fn input(place: impl Into<Place>, found: impl Display, advice: impl Into<Advice>) -> Self {
         Self::new(ErrorKind::Input, Some(place.into()), found, Some(advice.into()))
     }
 
-    /// The run failed with valid input.
+    /// Creates an error for a run that failed with valid input.
     pub fn run(found: impl Display) -> Self {
         Self::new(ErrorKind::Run, None, found, None)
     }
 
-    /// The device failed.
+    /// Creates an error for a device that failed.
     pub fn device(found: impl Display) -> Self {
         Self::new(ErrorKind::Device, None, found, None)
     }
 
-    /// The user stopped the program before it changed anything.
+    /// Creates an error for a program that the user stopped before it changed anything.
     pub fn stopped() -> Self {
         Self::stopped_with("stopped before anything was changed; the same command begins again")
     }
 
-    /// The user stopped the program; `found` says how it continues.
+    /// Creates an error for a program that the user stopped; `found` says how the program continues.
     pub fn stopped_with(found: impl Display) -> Self {
         Self::new(ErrorKind::Stopped, None, found, None)
     }
@@ -261,38 +261,39 @@ impl Error {
         self
     }
 
-    /// The same error, which happened in the process `rank`; an error that names a rank keeps it.
+    /// Returns the same error, marked as having happened in the process `rank`. An error that already names a rank
+    /// keeps it.
     pub fn of_rank(mut self, rank: usize) -> Self {
         self.0.rank.get_or_insert(rank);
         self
     }
 
-    /// The cause.
+    /// Returns the cause.
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
     }
 
-    /// Where the fault is; `None` for errors of runs and devices.
+    /// Returns the place of the fault; `None` for errors of runs and devices.
     pub fn place(&self) -> Option<&Place> {
         self.0.place.as_ref()
     }
 
-    /// What was found there, as one line.
+    /// Returns what was found at the place, as one line.
     pub fn found(&self) -> &str {
         &self.0.found
     }
 
-    /// What to do about it.
+    /// Returns the advice on what to do.
     pub fn advice(&self) -> Option<&Advice> {
         self.0.advice.as_ref()
     }
 
-    /// The error as one line: place, fault, advice and notes.
+    /// Returns the error as one line: place, fault, advice and notes.
     pub fn message(&self) -> String {
         self.text_with(Place::to_string, Advice::to_string)
     }
 
-    /// The error as one line, with places and advice as a program phrases them.
+    /// Returns the error as one line, with places and advice as a program phrases them.
     pub fn text_with(&self, place: impl Fn(&Place) -> String, advice: impl Fn(&Advice) -> String) -> String {
         let parts = &*self.0;
         let mut text = parts.rank.map_or(String::new(), |rank| format!("rank {rank}: "));
@@ -320,12 +321,12 @@ impl std::error::Error for Error {
     }
 }
 
-/// Most characters of a part of a message. Paths and lists of names are shorter. Of a longer value of a user or a file, the ends
-/// suffice.
+/// Largest number of characters of a part of a message. Paths and lists of names are shorter. If a value from a user or
+/// a file is longer, its beginning and its end suffice.
 const MOST: usize = 600;
 
-/// A part of a message: one line, shortened, and without characters that act on a terminal. Messages of other libraries
-/// may span lines.
+/// Returns a part of a message: one line, shortened, with characters escaped that act on a terminal. Messages of other
+/// libraries may span lines.
 fn one_line(part: impl Display) -> String {
     let text = part.to_string();
     let lines = text.split(['\n', '\r']).map(str::trim).filter(|line| !line.is_empty());

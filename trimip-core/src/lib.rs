@@ -1,8 +1,8 @@
 //! The types, mathematics, traits and training loop of Tri-MipRF (Hu et al., ICCV 2023), independent of any device.
 //!
-//! Data flows one way: images and cameras → cones → spheres along the cone → features → density and colour →
-//! composited pixels → loss, and back. A program renders through [`Viewer`] and trains through [`Session`], which
-//! [`run::Run`] drives.
+//! Data flows from stage to stage: images and cameras → cones → spheres along the cone → features → density and colour
+//! → composited pixels → loss. Gradients flow back. A program renders through [`Viewer`] and trains through
+//! [`Session`], which [`run::Run`] drives.
 //!
 //! ```
 //! use glam::DVec3;

@@ -1,30 +1,31 @@
-//! Memory that this process may still take: the least of what the machine, a container and the limit of its address space
-//! leave. In bytes, from `/proc` and the control groups of Linux.
+//! Memory that this process may still take: the smallest of the amounts that the machine, a container and the limit of
+//! the process's address space leave. Amounts are in bytes and come from `/proc` and the control groups of Linux.
 
 use std::fs;
 use std::path::Path;
 
-/// Address space that an allocator reserves for each thread, in addition to what it hands out, bytes (glibc: 64 MiB).
+/// Address space in bytes that an allocator reserves for each thread, in addition to the memory that it hands out
+/// (glibc: 64 MiB).
 const RESERVED_BY_THREAD: u64 = 64 << 20;
 
-/// Memory that this process may still take, bytes; `None` where the system does not report it.
+/// Returns the memory in bytes that this process may still take; `None` where the system does not report it.
 pub fn available_memory() -> Option<u64> {
     [common_memory(), own_memory()].into_iter().flatten().min()
 }
 
-/// Memory that the processes of this machine or container may still take together, bytes; `None` where the system does
-/// not report it.
+/// Returns the memory in bytes that all processes of this machine or container together may still take; `None` where
+/// the system does not report it.
 pub fn common_memory() -> Option<u64> {
     [kilobytes("/proc/meminfo", "MemAvailable:"), of_groups()].into_iter().flatten().min()
 }
 
-/// Memory of this process that is in use, bytes.
+/// Returns the memory in bytes that this process uses.
 pub fn resident_memory() -> Option<u64> {
     kilobytes("/proc/self/status", "VmRSS:")
 }
 
-/// Memory that the control groups of this process leave, each bounded by those above it (cgroup v2, then v1). Inactive
-/// pages of files count as free.
+/// Returns the memory that the control groups of this process leave (cgroup v2, then v1). A group is also bounded by
+/// the groups above it. Inactive pages of files count as free.
 fn of_groups() -> Option<u64> {
     let groups = read("/proc/self/cgroup");
     let own = groups.lines().find_map(|line| line.strip_prefix("0::/")).unwrap_or_default();
@@ -47,13 +48,13 @@ fn of_groups() -> Option<u64> {
     second.or_else(first)
 }
 
-/// Memory that a limit leaves after `used` bytes, of which `idle` can be reclaimed.
+/// Returns the memory that a limit leaves after `used` bytes; `idle` of the used bytes can be reclaimed.
 fn remaining(limit: u64, used: u64, idle: u64) -> Option<u64> {
     Some(limit.saturating_sub(used.saturating_sub(idle)))
 }
 
-/// Memory that the limit of this process's address space (`ulimit -v`) leaves after the reservations of its threads,
-/// bytes; `None` without a limit.
+/// Returns the memory in bytes that the limit of this process's address space (`ulimit -v`) leaves after the
+/// reservations of its threads; `None` without a limit.
 pub fn own_memory() -> Option<u64> {
     let limits = read("/proc/self/limits");
     let limit = value(&limits, "Max address space")?;
@@ -66,13 +67,13 @@ fn read(path: impl AsRef<Path>) -> String {
     fs::read_to_string(path).unwrap_or_default()
 }
 
-/// The number that follows `name` at the beginning of a line.
+/// Returns the number that follows `name` at the beginning of a line.
 fn value(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// The number that follows `name` in a file, converted from kB to bytes.
+/// Returns the number that follows `name` in a file, converted from kB to bytes.
 fn kilobytes(path: &str, name: &str) -> Option<u64> {
     value(&read(path), name).map(|kilobytes| 1024 * kilobytes)
 }

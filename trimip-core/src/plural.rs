@@ -2,12 +2,12 @@
 
 use std::fmt::Display;
 
-/// `view` for a count of 1, `views` for all others: a noun whose plural ends in s.
+/// Returns a noun whose plural ends in s for a count: `view` for 1, `views` for all other counts.
 pub fn noun<N: PartialEq + From<u8>>(count: N, singular: &str) -> String {
     if count == N::from(1) { singular.into() } else { format!("{singular}s") }
 }
 
-/// `1 view`, `12 views`: a count with a noun whose plural ends in s.
+/// Returns a count with a noun whose plural ends in s: `1 view`, `12 views`.
 pub fn count<N: Copy + Display + PartialEq + From<u8>>(count: N, singular: &str) -> String {
     format!("{count} {}", noun(count, singular))
 }

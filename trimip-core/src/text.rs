@@ -1,15 +1,16 @@
-//! Text files as people and their editors write them: UTF-8 with or without a byte order mark, UTF-16 with one.
+//! Text files as people and their editors write them: UTF-8 with or without a byte order mark, UTF-16 with a byte order
+//! mark.
 
 use crate::{Error, Result};
 use std::{borrow::Cow, path::Path};
 
-/// The bytes of a text without the byte order mark that editors of some systems put first.
+/// Returns the bytes of a text without the byte order mark that editors of some systems put first.
 pub fn without_mark(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes)
 }
 
-/// The bytes of a text in UTF-8: without a byte order mark, and recoded from UTF-16 if its mark is there. Invalid UTF-16
-/// is replaced by U+FFFD.
+/// Returns the bytes of a text in UTF-8: without a byte order mark, and recoded from UTF-16 if the text begins with a
+/// UTF-16 mark. Invalid UTF-16 is replaced by U+FFFD.
 pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
     let units = |from: fn([u8; 2]) -> u16| {
         let (pairs, _) = bytes[2..].as_chunks();
@@ -24,7 +25,7 @@ pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
     }
 }
 
-/// Reads a text file; `advice` says what to do if it cannot be read.
+/// Reads a text file; `advice` says what to do if the file cannot be read.
 ///
 /// # Errors
 /// When the file cannot be read, or is neither UTF-8 nor UTF-16 with a byte order mark.
@@ -34,10 +35,10 @@ pub fn read(path: &Path, advice: &str) -> Result<String> {
     of_bytes(path, &bytes)
 }
 
-/// The text of a file with these bytes.
+/// Returns the text of a file with these bytes.
 ///
 /// # Errors
-/// When they are neither UTF-8 nor UTF-16 with a byte order mark.
+/// When the bytes are neither UTF-8 nor UTF-16 with a byte order mark.
 pub fn of_bytes(path: &Path, bytes: &[u8]) -> Result<String> {
     match std::str::from_utf8(&decoded(bytes)) {
         Ok(text) => Ok(text.into()),

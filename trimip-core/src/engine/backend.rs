@@ -15,13 +15,13 @@ use std::ops::Range;
 pub trait Backend: Sized + Send + Sync + 'static {
     /// A flat array on the device.
     type Buffer<T: Pod + Send + Sync>: Send + Sync;
-    /// Where the work of one tile is issued.
+    /// The stream on which the work of one tile is issued.
     type Stream: Send;
     /// Losses and counts of a step, accumulated on the device.
     type Sums: Default + Send;
     /// A pending transfer of sums to the host.
     type Receipt: Send;
-    /// The encoders, of which a configuration picks one.
+    /// All encoders of the device; the configuration selects one.
     type Encoder: Encoder<Self>;
     /// Density and colour networks.
     type Field: Field<Self>;
@@ -38,14 +38,14 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// The gradient of the loss with respect to camera poses.
     type Poses: PoseGradients<Self>;
 
-    /// Number of steps between a step and the use of its sums, at most [`crate::engine::batch::MOST_PENDING`]. It is
-    /// above 0 for a device that computes one step while the host records the next.
+    /// Number of steps between a step and the use of its sums, at most [`crate::engine::batch::MOST_PENDING`]. A device
+    /// that computes one step while the host records the next has a lag above 0.
     const LAG: usize = 0;
 
     /// Pixels rendered between two progress reports. A view is rendered in bands of rows of about this many pixels.
     const RAYS_OF_A_BAND: u32 = 1 << 15;
 
-    /// Name in configurations: "cpu", "wgpu".
+    /// Returns the backend's name in configurations: "cpu" or "wgpu".
     fn name(&self) -> &'static str;
 
     /// Builds the stages of a configuration. Without `views` they render but do not train. The box of `config` and the
@@ -73,7 +73,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
         look(&self.read(buffer))
     }
 
-    /// As [`Backend::read`], without blocking: the future is pending while the device works.
+    /// Does the same as [`Backend::read`] without blocking: the future is pending while the device works.
     fn read_async<T: Pod + Send + Sync>(&self, buffer: &Self::Buffer<T>) -> impl Future<Output = Vec<T>> {
         async { self.read(buffer) }
     }
@@ -81,11 +81,11 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// Runs `work` in the device's worker pool; operations on whole arrays inside `work` use the workers.
     fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R;
 
-    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones; `work` gets the range of a tile's
-    /// pixels within the step. `partials` holds [`Backend::partials`] sets. Tiles that share a set of partial gradients
-    /// run one after the other, in order. The batch and the number of sets alone decide which tiles share a set, so the
-    /// sums have the same bits for any number of workers. A GPU takes all pixels as one tile. Only the pixels of this
-    /// rank's share are processed.
+    /// Runs `work` over the pixels of a step in tiles of about `batch.per_tile` cones; `work` gets the range of a
+    /// tile's pixels within the step. `partials` holds [`Backend::partials`] sets. Tiles that share a set of partial
+    /// gradients run one after the other, in order. Which tiles share a set depends only on the batch and the number of
+    /// sets, so the sums have the same bits for any number of workers. A GPU takes all pixels as one tile. Only the
+    /// pixels of this rank's share are processed.
     fn train_tiles(
         &self,
         field: &Self::Field,
@@ -94,7 +94,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
         work: &TrainWork<'_, Self>,
     );
 
-    /// Runs `work` over tiles of `0..tiling.count`. `result` returns the values of a tile, one per item; `out` becomes
+    /// Runs `work` over tiles of `0..tiling.count`. `result` returns the values of a tile, one per item; `out` receives
     /// the values of all items, in order.
     fn map_tiles<T: Pod + Send + Sync>(
         &self,
@@ -105,7 +105,7 @@ pub trait Backend: Sized + Send + Sync + 'static {
         result: &(dyn Fn(&Workspace<Self>) -> &Self::Buffer<T> + Sync),
     );
 
-    /// As [`Backend::map_tiles`], without blocking: the future is pending while the device works.
+    /// Does the same as [`Backend::map_tiles`] without blocking: the future is pending while the device works.
     fn map_tiles_async<T: Pod + Send + Sync>(
         &self,
         field: &Self::Field,
@@ -124,21 +124,21 @@ pub trait Backend: Sized + Send + Sync + 'static {
         self.update_all(stages, update);
     }
 
-    /// As [`Backend::update`], for a gradient that may be non-zero anywhere.
+    /// Does the same as [`Backend::update`] for a gradient that may be non-zero anywhere.
     fn update_all(&self, stages: &mut Stages<Self>, update: &mut Update<'_, Self>) {
         stages.optimizer.step(update);
         stages.encoder.refresh(update.parameters);
         stages.field.refresh(update.parameters);
     }
 
-    /// Returns the sum of the weights of the step's rays over all partial gradients. The optimiser divides the gradient by it.
-    /// Waits for the device.
+    /// Returns the sum of the weights of the step's rays over all partial gradients. The optimiser divides the gradient
+    /// by this sum. Waits for the device.
     fn weight(&self, partials: &[PartialGradients<Self>]) -> f64;
 
     /// Sets the sum of the weights over all partial gradients to `weight`.
     fn set_weight(&self, partials: &mut [PartialGradients<Self>], weight: f64);
 
-    /// Number of sets of partial gradients for a step of `samples` samples; 1 if a step is one tile.
+    /// Returns the number of sets of partial gradients for a step of `samples` samples; 1 if a step is one tile.
     fn partials(&self, samples: u32) -> usize;
 
     /// Adds up the step's sums over all partial gradients and starts their transfer to the host.
@@ -153,25 +153,25 @@ pub trait Backend: Sized + Send + Sync + 'static {
     /// When the device failed.
     fn redeem(&self, receipt: Self::Receipt) -> Result<StepResult>;
 
-    /// Largest number of samples of a ray. It is finite for a software driver that ends every loop after a limited number
-    /// of iterations.
+    /// Returns the largest number of samples that a ray may have. It is finite only on a software driver, which ends
+    /// every loop after a limited number of iterations.
     fn longest_ray(&self) -> usize {
         usize::MAX
     }
 
-    /// The device behind the backend's name, for reports: model, driver, instruction set.
+    /// Returns the name of the device for reports: model, driver, instruction set.
     fn device_name(&self) -> String;
 
-    /// The settings that this device cannot honour as written, one line each.
+    /// Returns one line for each setting that this device cannot honour as written.
     fn notes(&self, _config: &Config) -> Vec<String> {
         Vec::new()
     }
 
-    /// Checks that the device still works. After a failure, the values that [`Backend::read`] returns are not the
-    /// model's.
+    /// Checks that the device still works. After a failure, [`Backend::read`] returns values that are not those of the
+    /// model.
     ///
     /// # Errors
-    /// When the device failed at any time before.
+    /// When the device has failed at any time.
     fn health(&self) -> Result<()> {
         Ok(())
     }

@@ -21,7 +21,7 @@ pub struct Rays<B: Backend> {
     /// One per pixel in training with `loss.exposure` or refined poses: the number of its photograph, see
     /// [`exposure`](crate::engine::exposure). Empty otherwise.
     pub photographs: B::Buffer<u32>,
-    /// Index of the tile's first ray within the step; random numbers are drawn by it.
+    /// Index of the tile's first ray within the step. The random numbers of a ray are derived from its index.
     pub first: u32,
 }
 
@@ -37,7 +37,7 @@ impl<B: Backend> Rays<B> {
         }
     }
 
-    /// Replaces all rays by `rays`, one cone per pixel, without targets.
+    /// Replaces all rays with `rays`, one cone per pixel, without targets.
     pub fn place(&mut self, backend: &B, rays: &[Ray]) {
         let group = |start: usize| Segment { start: start as u32, count: 1 };
         backend.write(&mut self.rays, rays);
@@ -48,7 +48,8 @@ impl<B: Backend> Rays<B> {
     }
 }
 
-/// Samples of a tile. With their rays they hold the full geometry: ray, direction, distance, length, radius.
+/// Samples of a tile. Together with the tile's rays, they hold the full geometry: ray, direction, distance, length,
+/// radius.
 pub struct Samples<B: Backend> {
     /// One per ray.
     pub segments: B::Buffer<Segment>,
@@ -58,7 +59,7 @@ pub struct Samples<B: Backend> {
     pub intervals: B::Buffer<Interval>,
     /// One per sample.
     pub spheres: B::Buffer<Sphere>,
-    /// One pair: number of samples marched, and number of those kept.
+    /// One pair: the number of marched samples and the number of kept samples.
     pub counts: B::Buffer<[u32; 2]>,
 }
 
@@ -71,7 +72,7 @@ pub struct Tile<'a, B: Backend> {
     pub parameters: &'a B::Buffer<f32>,
     /// The cones of the tile.
     pub rays: &'a Rays<B>,
-    /// The samples along them.
+    /// The samples along these cones.
     pub samples: &'a Samples<B>,
 }
 
@@ -94,21 +95,22 @@ pub struct FieldBackward<'a, B: Backend> {
 pub struct SampleDraw {
     /// The random numbers of the step, one per ray.
     pub draws: Draws,
-    /// Norm of the gradient of a sample's logits (density and colour) from which the sample is certainly drawn.
+    /// Smallest norm of the gradient with respect to a sample's logits (density and colour) at which the sample is
+    /// drawn with certainty.
     pub threshold: f32,
 }
 
 impl SampleDraw {
-    /// The random number of ray `index` of a step, in [0, 1).
+    /// Returns the random number of ray `index` of a step, in [0, 1).
     #[inline]
     pub fn first(&self, index: u32) -> f32 {
         unit(self.draws.bits(index)[0])
     }
 
-    /// The probability of a sample whose gradient has this norm.
+    /// Returns the probability of drawing a sample whose gradient has this norm.
     #[inline]
     pub fn probability(&self, norm: f32) -> f32 {
-        // Not `min`: a NaN gradient has the probability 1, and is refused later.
+        // A NaN gradient has the probability 1 and is rejected later.
         if norm < self.threshold { norm / self.threshold } else { 1.0 }
     }
 }
@@ -117,7 +119,7 @@ impl SampleDraw {
 pub struct FieldDraw<'a, B: Backend> {
     /// Density and colour of each sample.
     pub radiance: &'a B::Buffer<Radiance>,
-    /// Gradient of `radiance`; that of a drawn sample is divided by its probability.
+    /// Gradient of `radiance`. The draw divides the gradient of each drawn sample by the sample's probability.
     pub radiance_gradients: &'a mut B::Buffer<Radiance>,
     /// Receives one value per sample: 1 if it is drawn, otherwise 0.
     pub marks: &'a mut B::Buffer<u32>,
@@ -129,24 +131,24 @@ pub struct Workspace<B: Backend> {
     pub stream: B::Stream,
     /// Rays.
     pub rays: Rays<B>,
-    /// Samples along them.
+    /// Samples along the rays.
     pub samples: Samples<B>,
-    /// Values that the encoder keeps from forward to backward, [samples,
+    /// Values that the encoder keeps from the forward pass for the backward pass, [samples,
     /// [`context`](crate::field::encoders::Definition::context)].
     pub encoder_context: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
-    /// Gradient of the features, same shape.
+    /// Gradient of the features, of the same shape.
     pub feature_gradients: B::Buffer<f32>,
-    /// Values that the field keeps from forward to backward.
+    /// Values that the field keeps from the forward pass for the backward pass.
     pub field_context: <B::Field as Field<B>>::Context,
-    /// One per sample.
+    /// Density and colour of each sample.
     pub radiance: B::Buffer<Radiance>,
     /// Gradient of `radiance`.
     pub radiance_gradients: B::Buffer<Radiance>,
-    /// Rows of the samples that pruning kept, or of those that were drawn; ascending.
+    /// Row indices of the samples that pruning kept, later of the samples that were drawn; ascending.
     pub kept: B::Buffer<u32>,
-    /// With drawn samples: one per sample, 1 if it is drawn, otherwise 0.
+    /// If samples are drawn: one value per sample, 1 if it is drawn, otherwise 0.
     pub marks: B::Buffer<u32>,
     /// Composited cones, one per ray.
     pub cones: B::Buffer<Pixel>,
@@ -187,7 +189,7 @@ impl<B: Backend> Workspace<B> {
     }
 }
 
-/// The samples of a tile on displaced rays, for the gradient by poses; empty unless poses are refined.
+/// The samples of a tile on displaced rays, for the gradient with respect to poses; empty unless poses are refined.
 pub struct Displaced<B: Backend> {
     /// One per cone.
     pub rays: B::Buffer<Ray>,
@@ -197,7 +199,7 @@ pub struct Displaced<B: Backend> {
     pub encoder_context: B::Buffer<f32>,
     /// Encoded samples, [samples, stride].
     pub features: B::Buffer<f32>,
-    /// One per sample: Σ feature · gradient on one side minus that on the other
+    /// One per sample: Σ feature · gradient on one side of the ray minus this sum on the opposite side
     /// ([`PoseGradients::compare`](crate::engine::backend::PoseGradients::compare)).
     pub slopes: B::Buffer<f32>,
 }
@@ -215,7 +217,8 @@ impl<B: Backend> Displaced<B> {
     }
 }
 
-/// Gradients and sums of some tiles, kept until the end of the step and added up in a fixed order.
+/// Gradients and sums of the tiles that share this set. The sets are kept until the end of the step, then added up in a
+/// fixed order.
 pub struct PartialGradients<B: Backend> {
     /// Gradients of the networks.
     pub field: <B::Field as Field<B>>::Gradient,
@@ -230,9 +233,9 @@ pub struct PartialGradients<B: Backend> {
 pub struct Batch<'a> {
     /// The pixels of the whole step, of all ranks.
     pub allocation: &'a RayAllocation,
-    /// The share of this rank.
+    /// This rank, which works on its share of the pixels.
     pub this_rank: Rank,
-    /// Approximate number of cones of a tile.
+    /// Approximate number of cones per tile.
     pub per_tile: u32,
 }
 
@@ -241,17 +244,17 @@ pub struct Batch<'a> {
 pub struct Tiling {
     /// Number of items.
     pub count: u32,
-    /// Items of a tile.
+    /// Number of items per tile.
     pub per_tile: u32,
 }
 
 /// The arrays from which a step computes new parameters.
 pub struct Update<'a, B: Backend> {
-    /// All parameters, flat; they get their new values.
+    /// All parameters, flat; the update overwrites them with the new values.
     pub parameters: &'a mut B::Buffer<f32>,
     /// The gradient of all parameters, flat, not yet divided by the sum of the weights.
     pub gradient: &'a mut B::Buffer<f32>,
-    /// The step's partial gradients, for the sum of the weights.
+    /// The step's partial gradients, which hold the sum of the weights.
     pub partials: &'a mut [PartialGradients<B>],
     /// Learning rate of the networks.
     pub learning_rate: f64,

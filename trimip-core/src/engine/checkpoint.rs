@@ -1,5 +1,5 @@
-//! Everything that training needs to continue with the same bits: parameters, moments, occupancy, counters. Random
-//! numbers are hashes of (seed, step, index), so the step is the whole random state.
+//! Checkpoints: everything that training needs to continue with the same bits (parameters, moments, occupancy,
+//! counters). Random numbers are hashes of (seed, step, index), so the step number is the whole random state.
 
 pub use crate::{engine::batch::MOST_PENDING, field::tensor_names::OCCUPANCY_DENSITY};
 
@@ -27,20 +27,21 @@ pub struct TrainState {
     /// Stage of growth of the encoder's parameters, see [`crate::field::encoders::Definition::stage`].
     #[serde(default, rename = "halvings")]
     pub stage: u32,
-    /// Marching step of the last training step in units of the uniform step, divided by the cones of a pixel; 0 before
-    /// the first training step. The number of samples of a pixel is inversely proportional to it.
+    /// Ray marching step of the last training step, in units of the uniform step and divided by the number of cones per
+    /// pixel; 0 before the first training step. The number of samples per pixel is inversely proportional to this
+    /// value.
     #[serde(default, rename = "step_scale")]
     pub spacing: f64,
-    /// Sums of the last steps that later steps will use, oldest first, each with its step's `spacing`. The totals include
-    /// them.
+    /// Sums of the last steps, which later steps will use (oldest first), each with the `spacing` of its step. The
+    /// totals already include these sums.
     #[serde(default)]
     pub pending: [Option<(f64, StepSums)>; MOST_PENDING],
     /// Pixels of the next step (dynamic batch).
     pub rays_per_step: u32,
-    /// Marched samples per pixel of the last step, which sizes the next step's tiles.
+    /// Number of marched samples per pixel in the last step. It determines the size of the next step's tiles.
     pub marched_per_ray: f32,
-    /// Norm of a sample's gradient from which the sample certainly has a backward pass, see
-    /// [`SampleDraw`](crate::engine::batch::SampleDraw); 0 as long as all samples have one.
+    /// Smallest norm of a sample's gradient at which the sample is certain to have a backward pass, see
+    /// [`SampleDraw`](crate::engine::batch::SampleDraw); 0 while all samples have a backward pass.
     #[serde(default)]
     pub draw_threshold: f64,
     /// The step after which the optimiser's moments last started from zero.
@@ -54,15 +55,16 @@ pub struct TrainState {
     pub data: Option<Fingerprint>,
 }
 
-/// Largest count of a run: f64 holds it exactly, and sums of a few do not overflow.
+/// Upper bound of the counts of a run. An f64 holds every count up to this bound exactly, and sums of a few counts do
+/// not overflow.
 const MOST_COUNTED: u64 = 1 << 53;
 
-/// Bound of [`TrainState::spacing`], whose inverse is the lower bound. The extremes are a marching step of 64 uniform
-/// steps, and a quarter of a uniform step with 64 cones per pixel (1/256).
+/// Upper bound of [`TrainState::spacing`]; its inverse is the lower bound. The largest marching step is 64 uniform
+/// steps. The smallest spacing is a quarter of a uniform step with 64 cones per pixel (1/256).
 const MOST_SPACING: f64 = 256.0;
 
 impl TrainState {
-    /// Refuses a state that no run of `config` can have; `place` is the checkpoint's.
+    /// Rejects a state that no run of `config` can have; `place` names the checkpoint in errors.
     fn expect_possible(&self, place: &str, config: &Config) -> Result<()> {
         let check = |possible: bool, name: &str, value: &dyn std::fmt::Display, expected: &str| match possible
         {
@@ -133,7 +135,7 @@ impl TrainState {
     }
 }
 
-/// True for tensors, in addition to moments, that only training needs.
+/// Returns true for the tensors, other than moments, that only training needs.
 fn of_training(name: &str) -> bool {
     name == OCCUPANCY_DENSITY
         || [exposure::PREFIX, poses::PREFIX, error_map::PREFIX].iter().any(|prefix| name.starts_with(prefix))
@@ -146,14 +148,14 @@ pub struct Checkpoint {
     pub config: Config,
     /// Counters and batch state.
     pub state: TrainState,
-    /// Parameters by name, `<name>.m` and `<name>.v` moments, `occupancy` bits and `occupancy.density`. With
-    /// `loss.exposure` the log-gains of the photographs, `exposure.*`; with refined poses their corrections, `poses.*`;
-    /// with `train.error_map` its state, `error_map.*`.
+    /// Parameters by name, their moments `<name>.m` and `<name>.v`, `occupancy` bits and `occupancy.density`. With
+    /// `loss.exposure` also the log-gains of the photographs, `exposure.*`; with refined poses the corrections of the
+    /// poses, `poses.*`; with `train.error_map` the state of the error map, `error_map.*`.
     pub file: TensorFile,
 }
 
 impl Checkpoint {
-    /// Name, index and value of the first number that is not finite.
+    /// Returns the name, index and value of the first number that is not finite.
     pub fn not_finite(&self) -> Option<(&str, usize, f32)> {
         self.file.tensors.iter().find_map(|(name, tensor)| {
             let (index, value) = tensor.not_finite()?;
@@ -161,7 +163,7 @@ impl Checkpoint {
         })
     }
 
-    /// The current model at full size, without the state that only training needs.
+    /// Returns the current model at full size, without the state that only training needs.
     pub fn into_model(self) -> Model {
         let Self { config, state, mut file } = self;
         file.tensors.retain(|name, _| !(name.ends_with(".m") || name.ends_with(".v") || of_training(name)));
@@ -184,7 +186,7 @@ impl Checkpoint {
         self.file.write(path, &self.metadata()?)
     }
 
-    /// The bytes of the file that [`write`](Self::write) writes.
+    /// Returns the bytes of the file that [`write`](Self::write) writes.
     ///
     /// # Errors
     /// When the state cannot be written as JSON.
@@ -200,8 +202,8 @@ impl Checkpoint {
     /// Reads a checkpoint and checks it: its format, its settings, its state, and every tensor's shape and numbers.
     ///
     /// # Errors
-    /// When the file cannot be read, is not a checkpoint that this build understands, or has other tensors or an impossible
-    /// state.
+    /// When the file cannot be read, is not a checkpoint that this build understands, or has tensors or a state that
+    /// its configuration does not allow.
     pub fn read(path: &Path) -> Result<Self> {
         Self::of(&path.display().to_string(), TensorFile::read(path)?)
     }
@@ -229,7 +231,7 @@ impl Checkpoint {
     /// Refuses a checkpoint whose settings differ from `config`.
     ///
     /// # Errors
-    /// When a setting differs; the error names each.
+    /// When a setting differs; the error names every such setting.
     pub fn expect_config(&self, place: &str, config: &Config) -> Result<()> {
         let differences = config.differences(&self.config);
         if differences.is_empty() {

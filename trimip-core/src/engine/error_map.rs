@@ -1,8 +1,8 @@
-//! The error map (`train.error_map`), which decides the pixels that a step draws. Photographs are divided into cells, the
-//! same at every scale. Each cell has the mean squared error of the pixels that were drawn there. A fraction of a step's
-//! pixels is drawn with a probability proportional to the square root of this error, which minimises the variance of the
-//! gradient (importance sampling); the others are drawn evenly. A pixel's loss is divided by its probability, so that the
-//! expected gradient is that of even draws.
+//! The error map (`train.error_map`), by which a step draws its pixels. Every photograph is divided into cells, the
+//! same cells at every scale. Each cell holds the mean squared error of the pixels that were drawn in it. A fraction of
+//! a step's pixels is drawn with a probability proportional to the square root of this error, which minimises the
+//! variance of the gradient (importance sampling); the other pixels are drawn uniformly. The loss of a pixel is divided
+//! by the pixel's probability, so that the expected gradient equals that of uniform draws.
 
 use crate::{
     Advice, Config, Error, Result, View, ViewSet,
@@ -14,22 +14,24 @@ use crate::{
 /// Prefix of the names of the error map's tensors in checkpoints.
 pub const PREFIX: &str = "error_map.";
 
-/// Side of a cell, in pixels of the finest scale, unless there would be more than [`MOST_CELLS`].
+/// Side of a cell, in pixels of the finest scale, unless this would make more than [`MOST_CELLS`] cells.
 const SIDE: u32 = 32;
 
-/// Most cells of all photographs. Probabilities are multiples of 2^−32, and a cell has several thousand of them.
+/// Largest number of cells of all photographs together. Probabilities are multiples of 2^−32, and the probability of an
+/// average cell is at least several thousand of these units.
 const MOST_CELLS: u64 = 1 << 18;
 
-/// Factor of a cell's sums at each update. With updates every 16 steps, a cell forgets half in about 440 steps.
+/// Factor by which the sums of a cell decay at each update. With an update every 16 steps, their half-life is about 440
+/// steps.
 const DECAY: f32 = 0.975;
 
-/// Prior of every cell: as many pixels with the mean error are added to its drawn ones.
+/// Prior of every cell: this number of pixels with the mean error is added to the pixels drawn in the cell.
 const PRIOR: f64 = 2.0;
 
-/// Fixed-point value of a squared error of 1 in the sums of devices.
+/// Fixed-point value of a squared error of 1 in the sums that devices accumulate.
 pub const UNIT: f32 = 16_777_216.0;
 
-/// Largest squared error of a pixel that counts.
+/// Bound of a pixel's squared error; larger errors count as this value.
 pub const MOST_ERROR: f32 = 16.0;
 
 /// Sum of the squared errors of a cell's drawn pixels, in multiples of 1 / [`UNIT`], and the number of these pixels.
@@ -40,44 +42,45 @@ pub type CellErrors = [u64; 2];
 pub struct Grid {
     /// Index of the first cell among those of all photographs.
     pub first: u32,
-    /// Columns and rows; cells follow row by row.
+    /// Number of columns and rows of cells. The cells are numbered row by row.
     pub size: [u32; 2],
 }
 
 /// A drawn pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drawn {
-    /// Scale.
+    /// Index of the scale.
     pub scale: usize,
-    /// Index of its view among those of the scale.
+    /// Index of the pixel's view among the views of the scale.
     pub view: usize,
-    /// Index among all pixels of the views.
+    /// Index of the pixel among the pixels of all views.
     pub pixel: usize,
-    /// Probability of the pixel under an even draw from its scale, divided by its actual probability.
+    /// Probability of the pixel under a uniform draw from its scale, divided by its actual probability.
     pub importance: f32,
 }
 
 /// The cells of all photographs, their errors and probabilities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorMap {
-    /// One per photograph, in the order of each scale's views.
+    /// One grid per photograph, in the order of the views of every scale.
     grids: Vec<Grid>,
-    /// Number of finest pixels of each cell.
+    /// Number of pixels of each cell at the finest scale.
     areas: Vec<u32>,
     /// Σ squared error and number of drawn pixels of each cell, both decaying.
     sums: Vec<[f32; 2]>,
-    /// First random number that draws each cell: 0 for the first cell. The range of the last cell ends at 2^32.
+    /// For each cell, the smallest random number that selects it: 0 for the first cell. The range of the last cell ends
+    /// at 2^32.
     starts: Vec<u32>,
     guide: Guide,
 }
 
-/// Lookup table from a random number to the neighbourhood of its cell (Chen and Asau 1974). Random numbers are divided
-/// into equal parts, about as many as there are cells.
+/// Lookup table from a random number to the neighbourhood of its cell (Chen and Asau 1974). The range of random numbers
+/// is divided into equal parts, about as many as there are cells.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Guide {
-    /// The cell of the first number of each part.
+    /// For each part, the cell that its first number selects.
     cells: Vec<u32>,
-    /// Number of lowest bits to drop from a random number for the index of its part.
+    /// A random number shifted right by this number of bits is the index of its part.
     shift: u32,
 }
 
@@ -105,23 +108,25 @@ impl Guide {
     }
 }
 
-/// The pixels `[begin, end]` (`end` excluded) of part `part` of `parts` along a side of `pixels` pixels.
+/// Returns the pixels `[begin, end]` (`end` excluded) of part number `part` when a side of `pixels` pixels is divided
+/// into `parts` parts.
 #[inline]
 fn part(pixels: u32, part: u32, parts: u32) -> [u32; 2] {
     [part, part + 1].map(|edge| (edge * pixels).div_ceil(parts))
 }
 
-/// Returns the squared error of a pixel, mean over channels, from the gradient of its loss by [r, g, b, opacity] and its
-/// weight. For the usual losses it is the squared colour difference, as long as that is small.
+/// Returns the squared error of a pixel (mean over channels), given the gradient of the pixel's loss with respect to
+/// [r, g, b, opacity] and the pixel's weight. For the usual losses and a small colour difference, the result is the
+/// squared colour difference.
 #[inline]
 pub fn error_of(gradient: [f32; 4], weight: f32) -> f32 {
     let [r, g, b, _] = gradient.map(|by| 3.0 * by / weight);
     let error = (r * r + g * g + b * b) / 3.0;
-    // Not `min`: NaN counts as the largest error.
+    // NaN counts as the largest error.
     if error < MOST_ERROR { error } else { MOST_ERROR }
 }
 
-/// True if all scales show the same photographs in the same order.
+/// Returns true if all scales show the same photographs in the same order.
 pub fn same_photographs(views: &ViewSet) -> bool {
     let numbers = photographs(views);
     let mut scales = views.scales.iter().map(|scale| &numbers[scale.views.clone()]);
@@ -129,7 +134,7 @@ pub fn same_photographs(views: &ViewSet) -> bool {
 }
 
 impl ErrorMap {
-    /// An even map of `views`, if the configuration draws pixels by their errors at any time.
+    /// Creates a uniform map of `views`, or returns `None` if the configuration never draws pixels by their errors.
     ///
     /// # Errors
     /// When the scales do not show the same photographs in the same order.
@@ -145,7 +150,8 @@ impl ErrorMap {
         }
         let size = |view: &View| [view.camera.intrinsics.width, view.camera.intrinsics.height];
         let count = finest.views.len();
-        // No cell is empty at any scale.
+        // A photograph gets at most as many columns and rows of cells as it has columns and rows of pixels at its
+        // smallest scale, so that no cell is empty at any scale.
         let least: Vec<[u32; 2]> = (0..count)
             .map(|i| {
                 let sizes = views.scales.iter().map(|scale| size(&views.views[scale.views.start + i]));
@@ -182,28 +188,28 @@ impl ErrorMap {
         Ok(Some(map))
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn len(&self) -> usize {
         self.areas.len()
     }
 
-    /// True without cells.
+    /// Returns true if the map has no cells.
     pub fn is_empty(&self) -> bool {
         self.areas.is_empty()
     }
 
-    /// The cells of each photograph, in the order of each scale's views.
+    /// Returns the cells of each photograph, in the order of the views of every scale.
     pub fn grids(&self) -> &[Grid] {
         &self.grids
     }
 
-    /// The first random number that draws each cell, rising from 0.
+    /// Returns the smallest random number that selects each cell, rising from 0.
     pub fn starts(&self) -> &[u32] {
         &self.starts
     }
 
-    /// Adds the errors of the last steps, one per cell, to the decayed sums. The fraction `fraction` of later pixels is
-    /// drawn by the errors.
+    /// Adds the errors of the last steps, one entry per cell, to the decayed sums, and updates the probabilities. The
+    /// fraction `fraction` of later pixels is drawn by the errors, the others uniformly.
     pub fn update(&mut self, errors: &[CellErrors], fraction: f64) {
         for (sums, &[error, count]) in self.sums.iter_mut().zip(errors) {
             *sums = [DECAY * sums[0] + error as f32 / UNIT, DECAY * sums[1] + count as f32];
@@ -221,13 +227,13 @@ impl ErrorMap {
         let weights: Vec<f64> = self.areas.iter().zip(&self.sums).map(by_error).collect();
         let all: f64 = weights.iter().sum();
         let area = self.areas.iter().map(|&area| f64::from(area)).sum::<f64>();
-        // A map without errors is even.
+        // Without errors, the probabilities are uniform.
         let fraction = if all > 0.0 { fraction } else { 0.0 };
         let (mut before, range) = (0.0, f64::from(u32::MAX) + 1.0);
         self.starts.clear();
         let cells = self.areas.len() as u32;
         for ((i, &own), weight) in (0..).zip(&self.areas).zip(weights) {
-            // Every cell can be drawn: a tiny one by a single random number.
+            // At least one random number selects each cell, so that even a tiny cell can be drawn.
             let least = self.starts.last().map_or(0, |last| last + 1);
             let most = u32::MAX - (cells - 1 - i);
             self.starts.push(((range * before).round() as u32).max(least).min(most));
@@ -237,14 +243,14 @@ impl ErrorMap {
         self.guide = Guide::new(&self.starts);
     }
 
-    /// The cell that a random number draws.
+    /// Returns the cell that a random number selects.
     #[inline]
     pub fn cell(&self, bits: u32) -> usize {
         self.guide.find(&self.starts, bits)
     }
 
-    /// The pixel that random numbers draw from the views of a scale, which has `count` pixels: its view, its index among
-    /// all pixels, and its importance.
+    /// Draws a pixel from the views of a scale with `count` pixels, given random numbers. Returns the pixel's view, its
+    /// index among all pixels, and its importance.
     #[inline]
     pub fn draw(&self, views: &[View], count: usize, bits: [u32; 4]) -> (usize, usize, f32) {
         let cell = self.cell(bits[0]);
@@ -256,7 +262,7 @@ impl ErrorMap {
         let [[left, right], [top, bottom]] = [0, 1].map(|i| part(size[i], at[i], grid.size[i]));
         let x = left + below(bits[1], right - left);
         let y = top + below(bits[2], bottom - top);
-        // The width is 2^32 for a single cell.
+        // If there is only one cell, the width is 2^32.
         let width = match self.starts.get(cell + 1) {
             Some(&next) => (next - self.starts[cell]) as f32,
             None => (u64::from(u32::MAX) + 1 - u64::from(self.starts[cell])) as f32,
@@ -265,7 +271,7 @@ impl ErrorMap {
         (photograph, view.offset + (y * size[0] + x) as usize, area / width * per_pixel(count))
     }
 
-    /// Adds the tensors that training needs to resume; `pending` are the errors since the last update.
+    /// Adds the tensors from which training resumes to `file`; `pending` holds the errors since the last update.
     pub(crate) fn to_tensors(&self, pending: &[CellErrors], file: &mut TensorFile) {
         let words = |values: &[u32]| Tensor::u8(&[values.len(), 4], bytemuck::cast_slice(values).to_vec());
         let sums = Tensor::f32(&[self.len(), 2], self.sums.as_flattened().to_vec());
@@ -275,7 +281,7 @@ impl ErrorMap {
         file.tensors.insert(format!("{PREFIX}pending"), Tensor::u8(&[self.len(), 16], pending));
     }
 
-    /// Reads the state from a checkpoint of a run on the same photographs, with the errors since its last update; `name`
+    /// Reads the map, with the errors since its last update, from a checkpoint of a run on the same photographs; `name`
     /// names the checkpoint in errors.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<(Self, Vec<CellErrors>)> {
         let tensor = |of: &str| format!("{PREFIX}{of}");
@@ -300,7 +306,8 @@ impl ErrorMap {
     }
 }
 
-/// 2^32 divided by the number of pixels of a scale: the width of the range of random numbers that an even draw gives each of them.
+/// Returns 2^32 / `count`: a uniform draw assigns a range of this many random numbers to each of the `count` pixels of
+/// a scale.
 #[inline]
 pub fn per_pixel(count: usize) -> f32 {
     4_294_967_296.0 / count as f32
@@ -316,7 +323,7 @@ mod tests {
     };
     use glam::DVec3;
 
-    /// Photographs of these sizes at two scales, the coarse one of rounded-up halves.
+    /// Returns photographs of these sizes at two scales; sides at the coarse scale are rounded-up halves.
     fn views(sizes: &[[u32; 2]]) -> ViewSet {
         let (mut views, mut scales, mut offset) = (Vec::new(), Vec::new(), 0);
         for factor in [1, 2] {
@@ -341,7 +348,7 @@ mod tests {
         ErrorMap::new(&config, views).unwrap().unwrap()
     }
 
-    /// Errors that rise with the square of the cell's number.
+    /// Returns errors that rise with the square of the cell's number.
     fn errors(map: &ErrorMap) -> Vec<CellErrors> {
         (0..map.len() as u64).map(|i| [(i * i + 1) * UNIT as u64, 1000]).collect()
     }
@@ -351,8 +358,8 @@ mod tests {
         assert_eq!(ErrorMap::new(&Config::default(), &views(&[[8, 8]])).unwrap(), None);
     }
 
-    /// The frequency of every pixel is inversely proportional to its importance, so that weighted draws count all pixels
-    /// alike.
+    /// Checks that pixels are drawn with a frequency inversely proportional to their importance, so that weighted draws
+    /// count all pixels equally.
     #[test]
     fn pixels_are_drawn_by_their_importance() {
         let views = views(&[[70, 40], [33, 5], [1, 1]]);
@@ -385,7 +392,7 @@ mod tests {
     fn a_cell_is_the_last_that_starts_before_its_number() {
         let random = Random::new(4).at(Sequence::Pixel, 1);
         for count in [1, 2, 3, 64, 1000] {
-            // From adjacent numbers to gaps of many parts.
+            // Gaps between starts range from one number to many parts.
             let mut starts: Vec<u32> = (0..count).map(|i| random.bits(i)[0] >> (i % 29)).collect();
             starts[0] = 0;
             starts.sort_unstable();
@@ -400,7 +407,8 @@ mod tests {
         }
     }
 
-    /// The literal rule: a part of the pixels evenly, the others by area and the root of the mean squared error.
+    /// Checks the probabilities against the rule written out: a fraction of the pixels is drawn uniformly, the others
+    /// in proportion to area times root mean squared error.
     #[test]
     fn cells_have_the_probabilities_of_their_errors() {
         let views = views(&[[70, 40], [33, 5], [1, 1]]);
@@ -433,7 +441,7 @@ mod tests {
         assert!(error.contains("train.error_map"), "{error}");
     }
 
-    /// Cells whose probability is below 2^−32, at both ends of the random numbers.
+    /// Checks that cells can be drawn whose probability is below 2^−32, at both ends of the range of random numbers.
     #[test]
     fn tiny_cells_can_be_drawn() {
         let views = views(&[[1, 1], [1, 1], [1, 1], [9, 9], [1, 1], [1, 1], [1, 1]]);

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 pub struct Totals {
     /// Optimiser steps done.
     pub step: u64,
-    /// Seconds of training, evaluation and pictures excluded.
+    /// Seconds of training, without those of evaluation and of rendering pictures.
     pub seconds: f64,
     /// Kept samples, summed over steps.
     pub samples: u64,
@@ -20,7 +20,7 @@ pub struct Totals {
     pub rays: u64,
     /// Steps whose batch kept no sample.
     pub empty_batches: u64,
-    /// Non-finite values met in losses or gradients.
+    /// Number of non-finite values found in losses or gradients.
     pub non_finite: u64,
     /// Kept samples without a backward pass, summed over steps (`train.backward_fraction`).
     #[serde(default)]
@@ -28,23 +28,23 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// Mean number of kept samples of a ray; `None` before the first ray.
+    /// Returns the mean number of kept samples per ray; `None` before the first ray.
     pub fn samples_per_ray(&self) -> Option<f64> {
         (self.rays > 0).then(|| self.samples as f64 / self.rays as f64)
     }
 
-    /// Fraction of the kept samples that had a backward pass; `None` before the first sample.
+    /// Returns the fraction of the kept samples that had a backward pass; `None` before the first sample.
     pub fn backward_fraction(&self) -> Option<f64> {
         (self.samples > 0).then(|| self.samples.saturating_sub(self.left_out) as f64 / self.samples as f64)
     }
 
-    /// Rays per second of training; `None` before any time has passed.
+    /// Returns the number of rays per second of training; `None` before any time has passed.
     pub fn rays_per_second(&self) -> Option<f64> {
         (self.seconds > 0.0).then(|| self.rays as f64 / self.seconds)
     }
 }
 
-/// Origin of the part of a run that one process did; values that older versions did not record are `None`.
+/// Origin of the part of a run that one process executed. Values that older versions did not record are `None`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Provenance {
@@ -54,7 +54,7 @@ pub struct Provenance {
     pub version: Option<String>,
     /// End of the part: seconds since 1970-01-01, UTC.
     pub ended_unix: Option<u64>,
-    /// Views of the test split, evaluated or not.
+    /// Number of views of the test split, evaluated or not.
     pub test_views: Option<usize>,
 }
 
@@ -94,7 +94,7 @@ pub enum Event {
         /// Mean loss of the latest step.
         #[serde(deserialize_with = "float_or_null")]
         loss: f64,
-        /// PSNR of the latest step's own pixels over all scales, dB.
+        /// PSNR of the pixels of the latest step, over all scales, in dB.
         #[serde(deserialize_with = "float_or_null")]
         batch_psnr: f64,
         /// Learning rate of the networks.
@@ -105,7 +105,7 @@ pub enum Event {
         /// Rays per second since the last event.
         #[serde(deserialize_with = "float_or_null")]
         rays_per_second: f64,
-        /// Fraction of cells that are occupied.
+        /// Fraction of the occupancy grid's cells that are occupied.
         #[serde(deserialize_with = "float_or_null")]
         occupied: f64,
         /// Estimated seconds of training and evaluation that remain.
@@ -116,7 +116,7 @@ pub enum Event {
     Evaluation {
         /// Counters of the run at this point.
         totals: Totals,
-        /// Stride: every n-th test view was used.
+        /// Stride: every `stride`-th test view was used.
         stride: usize,
         /// Number of test views; 0 in events of earlier versions.
         #[serde(default)]
@@ -149,16 +149,16 @@ pub enum Event {
     },
     /// Training has refined the poses of its photographs.
     Poses {
-        /// How far they are from the given ones.
+        /// How far the refined poses are from the given ones.
         moved: Moved,
-        /// Test views whose poses were aligned; none without a final evaluation.
+        /// Alignment of the test views' poses; `None` without a final evaluation.
         aligned: Option<Aligned>,
     },
     /// A checkpoint was written.
     Checkpoint {
         /// Step of the checkpoint.
         step: u64,
-        /// Size of its file.
+        /// Size of the checkpoint file.
         bytes: u64,
     },
     /// A message for the user; the run continues.
@@ -175,7 +175,8 @@ pub enum Event {
     Finished {
         /// Counters at the end.
         totals: Totals,
-        /// Mean number of kept samples of a ray over the whole run; `None` without rays, and in events of earlier versions.
+        /// Mean number of kept samples per ray over the whole run; `None` without rays, and in events of earlier
+        /// versions.
         #[serde(default)]
         samples_per_ray: Option<f64>,
         /// Rays per second of training over the whole run.
@@ -187,12 +188,12 @@ pub enum Event {
     },
     /// One process's part of a run is over, whatever its outcome.
     SessionEnded {
-        /// The device behind the backend's name.
+        /// Name of the device that the backend used.
         #[serde(default)]
         device: String,
         /// Backend of this part.
         backend: String,
-        /// Seconds from the program's start, everything included.
+        /// Seconds since the program started, everything included.
         wall_seconds: f64,
         /// Peak resident memory of the process, if the system reports it.
         peak_memory_bytes: Option<u64>,
@@ -203,7 +204,7 @@ pub enum Event {
 }
 
 impl Event {
-    /// The end of a training with these counters.
+    /// Returns the event for the end of a training run with these counters.
     pub fn finished(totals: Totals) -> Self {
         Self::Finished {
             totals,
@@ -226,7 +227,7 @@ impl<F: FnMut(&Event)> EventSink for F {
     }
 }
 
-/// Fraction of the schedule that is done at `totals`; 1 or more at its end.
+/// Returns the fraction of the schedule that is done at `totals`; 1 or more at the end of the schedule.
 pub fn progress(config: &Config, totals: &Totals) -> f64 {
     let train = &config.train;
     if train.steps > 0 { totals.step as f64 / train.steps as f64 } else { totals.seconds / train.seconds }

@@ -15,10 +15,10 @@ use crate::{
 use std::sync::Arc;
 
 /// Combines the results of the ranks in a step. The trainer calls [`partials`](Self::partials), then
-/// [`update`](Self::update). On a backend without lag it calls [`sums`](Self::sums) between the two, otherwise after them
-/// for an earlier step.
+/// [`update`](Self::update). On a backend without lag it calls [`sums`](Self::sums) between the two; on a backend with
+/// lag it calls `sums` after them, for an earlier step.
 pub trait Exchange<B: Backend>: Send {
-    /// This rank: it computes its part of each step's pixels.
+    /// Returns this rank, which determines the process's share of each step's pixels.
     fn rank(&self) -> Rank {
         Rank::ONLY
     }
@@ -37,7 +37,7 @@ pub trait Exchange<B: Backend>: Send {
         Ok(())
     }
 
-    /// Called with the sums of a step that were posted on this rank; returns the sums of all ranks.
+    /// Called with the sums of a step that this rank posted; returns the sums over all ranks.
     ///
     /// # Errors
     /// When another rank is gone.
@@ -45,8 +45,8 @@ pub trait Exchange<B: Backend>: Send {
         Ok(sums)
     }
 
-    /// Computes new parameters, as [`Backend::update`] does, from the gradients of all ranks. A rank whose rays hit nothing makes
-    /// the call too, with a gradient and a weight of zero.
+    /// Computes new parameters, as [`Backend::update`] does, from the gradients of all ranks. It is also called on a
+    /// rank whose rays hit nothing, with a gradient and a weight of zero.
     ///
     /// # Errors
     /// When another rank is gone.
@@ -55,8 +55,8 @@ pub trait Exchange<B: Backend>: Send {
         Ok(())
     }
 
-    /// Called with the errors of the pixels that this rank drew, one per cell of the error map; returns the errors of all
-    /// ranks.
+    /// Called with the errors of the pixels that this rank drew, one per cell of the error map; returns the sums over
+    /// all ranks.
     ///
     /// # Errors
     /// When another rank is gone.
@@ -64,7 +64,7 @@ pub trait Exchange<B: Backend>: Send {
         Ok(errors)
     }
 
-    /// Called before the optimiser's moments are read: afterwards every rank has all of them.
+    /// Called before the optimiser's moments are read. Afterwards every rank has all moments.
     ///
     /// # Errors
     /// When another rank is gone.
@@ -74,27 +74,27 @@ pub trait Exchange<B: Backend>: Send {
     }
 }
 
-/// A single process: leaves everything unchanged.
+/// The exchange of a single process, which leaves all values unchanged.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Alone;
 
 impl<B: Backend> Exchange<B> for Alone {}
 
 /// An exchange for any backend: every rank adds up the gradients of all ranks in rank order and updates all parameters.
-/// All ranks have the same bits; the rounding of the sums depends on the number of ranks.
+/// All ranks get the same bits, but the rounding of the sums depends on the number of ranks.
 pub struct Summed {
     ranks: Arc<dyn Ranks>,
     received: Vec<Vec<u8>>,
 }
 
 impl Summed {
-    /// An exchange over `ranks`.
+    /// Creates an exchange over `ranks`.
     pub fn new(ranks: Arc<dyn Ranks>) -> Self {
         let received = vec![Vec::new(); ranks.rank().size];
         Self { ranks, received }
     }
 
-    /// Sends `own` to every rank; calls `add` with the bytes of each rank, in order.
+    /// Sends `own` to every rank; calls `add` with the bytes from each rank, in rank order.
     fn gather(&mut self, own: &[u8], mut add: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
         let Self { ranks, received } = self;
         let this_rank = ranks.rank();

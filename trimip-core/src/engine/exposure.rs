@@ -1,7 +1,7 @@
-//! Exposure of photographs, for `loss.exposure = "gain"`: photograph i has three log-gains e_i (RGB), and the loss compares
-//! exp(e_i − mean of e)·rendered with the photograph. The mean fixes the scale of the model's colours, so a camera
-//! without a photograph is rendered at the mean exposure. The log-gains are trained alongside the parameters and are not
-//! part of a model.
+//! Exposure of photographs, for `loss.exposure = "gain"`: photograph i has three log-gains e_i (RGB), and the loss
+//! compares exp(e_i − mean of e)·rendered with the photograph. Subtracting the mean fixes the scale of the model's
+//! colours: a camera without a photograph is rendered at the mean exposure. The log-gains are trained alongside the
+//! parameters and are not part of a model.
 
 pub use crate::engine::lagged::LAG;
 
@@ -16,11 +16,13 @@ use std::collections::BTreeMap;
 /// Prefix of the names of the log-gains' tensors in checkpoints.
 pub const PREFIX: &str = "exposure.";
 
-/// Largest log-gain: four stops, ln 16. The bound keeps a photograph without any light from shifting the mean.
+/// Bound of the absolute value of a log-gain: four stops, ln 16. It keeps a photograph without any light from shifting
+/// the mean.
 const MOST: f32 = 2.772_588_7;
 
-/// Returns the number of each view's photograph, counted from 0. Views of one name at different scales are one
-/// photograph. If a scale has several views of one name, the n-th of them at every scale are one photograph.
+/// Returns the number of each view's photograph, counted from 0. Views with the same name at different scales show one
+/// photograph. If a scale has several views with the same name, the n-th such view of every scale shows the n-th such
+/// photograph.
 pub fn photographs(views: &ViewSet) -> Vec<u32> {
     let mut numbers = BTreeMap::new();
     let mut all = vec![0; views.views.len()];
@@ -37,9 +39,10 @@ pub fn photographs(views: &ViewSet) -> Vec<u32> {
     all
 }
 
-/// Returns a rendered picture at the exposure of its photograph, which the camera pose does not determine. Each half
-/// (`left` or not) is multiplied, per channel, by the gain that fits the other half best: by least squares, within four
-/// stops. No pixel contributes to its own gain. All slices have one entry per pixel (RGB); `behind` is as in [`exposed`].
+/// Returns a rendered picture adjusted to the exposure of its photograph, because a camera pose does not determine an
+/// exposure. Each half (`left` true or false) is multiplied, per channel, by the gain that fits the other half best in
+/// the least-squares sense, within four stops. So no pixel contributes to its own gain. All slices have one entry per
+/// pixel (RGB); `behind` is as in [`exposed`].
 ///
 /// # Panics
 /// If the slices differ in length.
@@ -64,12 +67,12 @@ pub fn exposed_by_the_other_half(
     (0..shown.len()).map(|i| exposed(shown[i], behind[i], gains[usize::from(left[i])])).collect()
 }
 
-/// Log-gains of all photographs in training, their moments, and the gradients not applied yet.
+/// Log-gains of all photographs in training, their moments, and the gradients that were not applied yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exposures(Lagged<3>);
 
 impl Exposures {
-    /// Log-gains of 0 for `count` photographs.
+    /// Creates log-gains of 0 for `count` photographs.
     pub fn new(count: usize) -> Self {
         Self(Lagged::new(count))
     }
@@ -79,20 +82,20 @@ impl Exposures {
         self.0.values.iter_mut().zip(values).for_each(|(own, value)| *own = *value);
     }
 
-    /// Log-gains minus their mean over all photographs: RGB of each.
+    /// Returns the log-gains (RGB) of each photograph, minus their mean over all photographs.
     pub fn log_gains(&self) -> Vec<[f64; 3]> {
         let mean = mean(self.0.values.iter().map(|value| value.map(f64::from)));
         let centred = |value: &[f32; 3]| std::array::from_fn(|c| f64::from(value[c]) - mean[c]);
         self.0.values.iter().map(centred).collect()
     }
 
-    /// The gains with which rendered colours are compared: RGB of each photograph.
+    /// Returns the gains (RGB) of each photograph, by which the loss multiplies rendered colours.
     pub fn gains(&self) -> Vec<[f32; 3]> {
         self.log_gains().into_iter().map(|value| value.map(|value| value.exp() as f32)).collect()
     }
 
-    /// The gradient of a step's mean loss by the log-gains: RGB of each photograph. The mean of all log-gains is
-    /// subtracted from each, so the mean of the derivatives is subtracted, too.
+    /// Returns the gradient of a step's mean loss with respect to the log-gains (RGB) of each photograph. The loss
+    /// depends on log-gains minus their mean, so the mean of the derivatives is subtracted from each derivative.
     pub fn gradient(&self, step: &StepResult) -> Vec<[f32; 3]> {
         let divided = |sum: &[f64; 3]| match step.sums.weight > 0.0 {
             true => sum.map(|sum| sum / step.sums.weight),
@@ -104,12 +107,12 @@ impl Exposures {
         own.iter().map(|own| std::array::from_fn(|c| (own[c] - mean[c]) as f32)).collect()
     }
 
-    /// Queues the gradient of the next step's result.
+    /// Queues the gradient of `step`, the result of the next step in order.
     pub(crate) fn take(&mut self, step: &StepResult) {
         self.0.take(self.gradient(step));
     }
 
-    /// Applies the gradients that are due ([`Lagged::due`]). Returns whether anything may have moved.
+    /// Applies the gradients that are due ([`Lagged::due`]). Returns whether any log-gain may have changed.
     pub(crate) fn advance(
         &mut self,
         config: &OptimizerConfig,
@@ -126,18 +129,19 @@ impl Exposures {
         moved
     }
 
-    /// Adds the tensors that training needs to resume, of shape [photographs, 3].
+    /// Adds the tensors from which training resumes, of shape [photographs, 3].
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
         self.0.to_tensors(PREFIX, file);
     }
 
-    /// Reads the state from a checkpoint of a run on as many photographs; `name` names the checkpoint in errors.
+    /// Reads the state from a checkpoint of a run on the same number of photographs; `name` names the checkpoint in
+    /// errors.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self(self.0.restored(PREFIX, file, name)?))
     }
 }
 
-/// The mean of some values; 0 of none.
+/// Returns the mean of `values`; 0 if there are none.
 fn mean(values: impl ExactSizeIterator<Item = [f64; 3]>) -> [f64; 3] {
     let count = values.len().max(1) as f64;
     values.fold([0.0; 3], |sum, value| std::array::from_fn(|c| sum[c] + value[c])).map(|sum| sum / count)
@@ -171,7 +175,8 @@ mod tests {
 
     #[test]
     fn the_gradient_is_the_slope_by_each_log_gain() {
-        // Σ w_i·gain_i², through the mean that is subtracted; its derivative by a photograph's own logarithm is 2·w·gain².
+        // The loss is Σ w_i·gain_i²; a gain also depends on the mean that is subtracted. With the mean held fixed, the
+        // derivative with respect to a photograph's log-gain is 2·w·gain².
         let weights = [0.3, -1.2, 0.7, 2.0];
         let at = |values: [f32; 4]| {
             let mut exposures = Exposures::new(4);
@@ -214,12 +219,12 @@ mod tests {
         for (found, target) in found.as_flattened().iter().zip(target.as_flattened()) {
             assert!((found - target).abs() < 1e-6, "{found} is not {target}");
         }
-        // A change in the left half changes the right half alone.
+        // A change in the left half changes only the right half.
         let mut moved = target.clone();
         moved[0] = [1.0; 3];
         let other = exposed_by_the_other_half(&shown, &behind, &moved, &left);
         assert!((0..8).all(|i| (other[i] == found[i]) == left[i]), "{other:?}");
-        // The gain is 1 where nothing was rendered, and at most four stops.
+        // The gain is 1 if nothing was rendered, and at most four stops.
         let dark = exposed_by_the_other_half(&behind, &behind, &target, &left);
         assert_eq!(dark, behind);
         let bright = exposed_by_the_other_half(&shown[4..5], &[[0.0; 3]], &[[1.0; 3]], &[true]);
@@ -251,7 +256,7 @@ mod tests {
             let moved = exposures.advance(&config, 1e-2, steps as u64 + 1, 0);
             assert_eq!(moved, steps >= LAG);
         }
-        // The two gradients that are due, applied by the rule of the network's parameters.
+        // The two gradients that are due, applied by the optimiser's rule for network parameters, without weight decay.
         let (mut value, mut m, mut v) = (0.0_f32, 0.0, 0.0);
         for (step, gradient) in [(1, 0.5), (2, -0.25)] {
             let rule = Rule { shrink: 1.0, ..Rule::new(&config, 1e-2, step) };

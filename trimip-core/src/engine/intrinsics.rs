@@ -1,6 +1,7 @@
-//! Intrinsics of photographs, for `train.cameras = "refine"`: training also changes the focal length, the principal point and the
-//! first radial coefficient of each camera. Photographs of equal intrinsics share one camera. Only perspective cameras
-//! change, and k₁ only where the lens has distortion: photographs without distortion were undistorted or rendered.
+//! Intrinsics of photographs, for `train.cameras = "refine"`: training also changes the focal length, the principal
+//! point and the first radial coefficient of each camera. Photographs with equal intrinsics share one camera. Training
+//! changes only perspective cameras, and k₁ only if the lens has distortion: photographs without distortion were
+//! undistorted or rendered.
 //!
 //! The changes are preconditioned ([`Preconditioner`]), trained like the poses, and not part of a model.
 
@@ -21,16 +22,17 @@ use serde::{Deserialize, Serialize};
 /// Prefix of the names of the intrinsics' tensors in checkpoints.
 const PREFIX: &str = "poses.intrinsics.";
 
-/// A change of intrinsics: [logarithm of both focal lengths, principal point x and y in focal lengths, k₁].
+/// A change of intrinsics: [logarithm of the factor of both focal lengths, shift of the principal point in x and y in
+/// focal lengths, increase of k₁].
 pub type Change = [f64; 4];
 
-/// Intrinsics after a change, at any scale of the photograph.
+/// Returns the intrinsics `given`, of any scale of the photograph, after a change.
 pub fn changed(given: &Intrinsics, change: &Change) -> Intrinsics {
     ChangedCamera::new(given, *change).at(given)
 }
 
-/// A changed camera. Its lens is computed once, not again at every scale of each photograph, because that takes longer
-/// than all the rest.
+/// A changed camera. Computing its lens takes longer than everything else, so the lens is computed once and used at
+/// every scale of each photograph.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ChangedCamera {
     change: Change,
@@ -42,7 +44,7 @@ impl ChangedCamera {
         Self { change, lens: given.lens.with_more_k1(change[3]) }
     }
 
-    /// The changed intrinsics of a photograph with the given intrinsics `given`, at any scale.
+    /// Returns the changed intrinsics of a photograph whose given intrinsics, at any scale, are `given`.
     pub fn at(&self, given: &Intrinsics) -> Intrinsics {
         let [focal, x, y, _] = self.change;
         Intrinsics {
@@ -56,10 +58,10 @@ impl ChangedCamera {
     }
 }
 
-/// A camera that some photographs share.
+/// A camera that one or more photographs share.
 #[derive(Clone, Debug, PartialEq)]
 struct Shared {
-    /// Intrinsics of its finest photographs.
+    /// Given intrinsics at the finest scale.
     given: Intrinsics,
     preconditioner: Preconditioner<4>,
 }
@@ -80,9 +82,9 @@ impl Shared {
         Self { given, preconditioner: Preconditioner::of(rows.flatten()) }
     }
 
-    /// The derivatives of a loss by this camera's change, for a photograph with the axes `axes` and the camera sums `of`.
-    /// A fixed pixel's direction moves against each change. A distorted lens does not move all directions equally; this
-    /// is neglected.
+    /// Returns the derivatives of a loss with respect to this camera's change, for a photograph with the camera axes
+    /// `axes` and the camera sums `of`. The direction of a fixed pixel moves opposite to each change. A distorted lens
+    /// does not move all directions equally; the derivatives neglect this.
     fn by_change(&self, axes: &DMat3, of: &CameraSums) -> Change {
         if self.given.lens.model != Model::Perspective {
             return [0.0; 4];
@@ -98,7 +100,7 @@ impl Shared {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SharedIntrinsics {
     cameras: Vec<Shared>,
-    /// One per photograph: the index of its camera, and its axes as given.
+    /// For each photograph, the index of its camera and the camera's axes as given.
     photographs: Vec<(usize, DMat3)>,
     corrections: Lagged<4>,
 }
@@ -108,11 +110,11 @@ pub(crate) struct SharedIntrinsics {
 pub struct ChangedIntrinsics {
     /// Number of cameras.
     pub cameras: usize,
-    /// Focal length, relative.
+    /// Relative change of the focal length.
     pub focal: f64,
-    /// Principal point, as a fraction of the longer side of a picture.
+    /// Shift of the principal point, as a fraction of the longer side of a picture.
     pub principal: f64,
-    /// First radial coefficient.
+    /// Change of the first radial coefficient.
     pub k1: f64,
 }
 
@@ -133,19 +135,19 @@ impl SharedIntrinsics {
         Self { corrections: Lagged::new(cameras.len()), cameras, photographs }
     }
 
-    /// The current camera of each photograph.
+    /// Returns the current camera of each photograph.
     pub fn changed(&self) -> Vec<ChangedCamera> {
         let camera = |(i, camera): (usize, &Shared)| ChangedCamera::new(&camera.given, self.change(i));
         let cameras: Vec<ChangedCamera> = self.cameras.iter().enumerate().map(camera).collect();
         self.photographs.iter().map(|(camera, _)| cameras[*camera]).collect()
     }
 
-    /// The current change of camera `i`.
+    /// Returns the current change of camera `i`.
     fn change(&self, i: usize) -> Change {
         self.cameras[i].preconditioner.change(self.corrections.values[i].map(f64::from))
     }
 
-    /// Given intrinsics of each camera at its finest scale, and their current change.
+    /// Returns the given intrinsics of each camera at its finest scale, and the camera's current change.
     pub fn refined(&self) -> Vec<(Intrinsics, Change)> {
         let camera = |(i, camera): (usize, &Shared)| (camera.given, self.change(i));
         self.cameras.iter().enumerate().map(camera).collect()
@@ -158,7 +160,7 @@ impl SharedIntrinsics {
         }
     }
 
-    /// How far the intrinsics are from the given ones.
+    /// Returns how far the intrinsics are from the given ones.
     pub fn moved(&self) -> ChangedIntrinsics {
         let median = |of: &dyn Fn(usize) -> f64| {
             let mut all: Vec<f64> = (0..self.cameras.len()).map(of).collect();
@@ -177,7 +179,7 @@ impl SharedIntrinsics {
         }
     }
 
-    /// The gradient of a step's mean loss by the changes of all cameras.
+    /// Returns the gradient of a step's mean loss with respect to the changes of all cameras.
     pub fn by_changes(&self, step: &StepResult) -> Vec<Change> {
         let mut sums = vec![[0.0; 4]; self.cameras.len()];
         if step.sums.weight > 0.0 {
@@ -190,7 +192,7 @@ impl SharedIntrinsics {
         sums
     }
 
-    /// Queues the gradient of the next step's result.
+    /// Queues the gradient of `step`, the result of the next step in order.
     pub fn take(&mut self, step: &StepResult) {
         let gradient =
             |(camera, by): (&Shared, Change)| camera.preconditioner.gradient(by).map(|by| by as f32);
@@ -206,12 +208,13 @@ impl SharedIntrinsics {
         }
     }
 
-    /// Adds the tensors that training needs to resume, of shape [cameras, 4].
+    /// Adds the tensors from which training resumes, of shape [cameras, 4].
     pub fn to_tensors(&self, file: &mut TensorFile) {
         self.corrections.to_tensors(PREFIX, file);
     }
 
-    /// Reads the state from a checkpoint of a run with as many cameras; `name` names the checkpoint in errors.
+    /// Reads the state from a checkpoint of a run with the same number of cameras; `name` names the checkpoint in
+    /// errors.
     pub fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self { corrections: self.corrections.restored(PREFIX, file, name)?, ..self.clone() })
     }
@@ -233,7 +236,8 @@ mod tests {
         Camera::look_at(intrinsics, DVec3::new(3.0, -2.0, 1.5), DVec3::ZERO, DVec3::Z)
     }
 
-    /// Changes commute with scales: after a change, a pixel at half size still covers the same block of full-size pixels.
+    /// Checks that changes commute with scaling: after a change, a pixel at half size still covers the same block of
+    /// full-size pixels.
     #[test]
     fn a_change_is_one_for_all_scales() {
         let given = camera(lens()).intrinsics;
@@ -249,7 +253,8 @@ mod tests {
         );
     }
 
-    /// A loss that pulls the directions of some pixels has the derivatives that follow from the sums.
+    /// Checks the derivatives that follow from the camera sums against difference quotients, for a loss that pulls the
+    /// directions of two pixels.
     #[test]
     fn the_gradient_is_the_slope_by_each_change() {
         for (lens, tolerance) in [(Lens::default(), 1e-6), (lens(), 0.05)] {
@@ -299,7 +304,8 @@ mod tests {
         }
     }
 
-    /// Photographs of one camera share their gradients, another camera keeps its intrinsics, and a checkpoint keeps all.
+    /// Checks that photographs of one camera share its change, that cameras without gradient and fisheyes keep their
+    /// intrinsics, and that a checkpoint restores the state.
     #[test]
     fn equal_intrinsics_are_one_camera() {
         let one = camera(Lens::default());

@@ -1,5 +1,5 @@
-//! Parameters of photographs that are trained alongside the model's. Their gradients reach the host with a step's sums,
-//! and Adam applies them some steps later.
+//! Parameters of photographs that are trained alongside the parameters of the model. Their gradients reach the host
+//! with a step's sums, and Adam applies them some steps later.
 
 use crate::{
     Result,
@@ -12,10 +12,11 @@ use crate::{
 };
 use std::collections::VecDeque;
 
-/// Number of steps between a step and the use of its gradient, on every backend, because a device runs ahead of the host.
+/// Number of steps between a step and the use of its gradient. It is the same on every backend: a device may run this
+/// many steps ahead of the host.
 pub const LAG: usize = MOST_PENDING;
 
-/// `N` parameters of each photograph, their moments, and the gradients not applied yet.
+/// `N` parameters of each photograph, their moments, and the gradients that were not applied yet.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Lagged<const N: usize> {
     /// One row per photograph.
@@ -27,7 +28,7 @@ pub(crate) struct Lagged<const N: usize> {
 }
 
 impl<const N: usize> Lagged<N> {
-    /// Zeros for `count` photographs.
+    /// Creates zeros for `count` photographs.
     pub fn new(count: usize) -> Self {
         let zeros = || vec![[0.0; N]; count];
         Self { values: zeros(), m: zeros(), v: zeros(), arrived: VecDeque::new() }
@@ -38,8 +39,8 @@ impl<const N: usize> Lagged<N> {
         self.arrived.push_back(gradient);
     }
 
-    /// Removes and returns the oldest gradient, with the number of its step, if it is due after `steps` steps. The
-    /// gradients of `in_transit` of these steps have not arrived.
+    /// Removes and returns the oldest gradient, with the number of its step, if it is due after `steps` steps.
+    /// `in_transit` is the number of these steps whose gradients have not arrived.
     pub fn due(&mut self, steps: u64, in_transit: usize) -> Option<(u64, Vec<[f32; N]>)> {
         if self.arrived.len() + in_transit <= LAG {
             return None;
@@ -48,8 +49,8 @@ impl<const N: usize> Lagged<N> {
         Some((steps.saturating_sub((self.arrived.len() + in_transit) as u64).max(1), gradient))
     }
 
-    /// Moves the parameters by the gradient of step `step` (Adam, without decay). Skips gradients whose square is not
-    /// finite.
+    /// Updates the parameters with the gradient of step `step` (Adam, without weight decay). Skips gradients whose
+    /// square is not finite.
     pub fn apply(&mut self, config: &OptimizerConfig, rate: f64, step: u64, gradient: &[[f32; N]]) {
         let rule = Rule { shrink: 1.0, ..Rule::<f32>::new(config, rate, step) };
         let moments = self.m.as_flattened_mut().iter_mut().zip(self.v.as_flattened_mut());
@@ -61,7 +62,7 @@ impl<const N: usize> Lagged<N> {
         }
     }
 
-    /// Adds the tensors that training needs to resume, of shape [photographs, N], with names that begin with `prefix`.
+    /// Adds the tensors from which training resumes, of shape [photographs, N], with names that begin with `prefix`.
     pub fn to_tensors(&self, prefix: &str, file: &mut TensorFile) {
         let shape = [self.values.len(), N];
         let mut add = |name: String, values: &[[f32; N]]| {
@@ -74,7 +75,8 @@ impl<const N: usize> Lagged<N> {
         self.arrived.iter().enumerate().for_each(|(i, values)| add(format!("pending.{i}"), values));
     }
 
-    /// Reads the state from a checkpoint of a run on as many photographs; `name` names the checkpoint in errors.
+    /// Reads the state from a checkpoint of a run on the same number of photographs; `name` names the checkpoint in
+    /// errors.
     pub fn restored(&self, prefix: &str, file: &TensorFile, name: &str) -> Result<Self> {
         let shape = [self.values.len(), N];
         let of =

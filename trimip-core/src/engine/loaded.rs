@@ -1,4 +1,4 @@
-//! A model on a device, ready to render. It is written once over the traits, for every backend, and is a [`Viewer`].
+//! A model on a device, ready to render. The code is generic over backends and implements [`Viewer`].
 
 use crate::{
     Backend, Camera, Config, Crop, Encoder, Error, Field, Frame, Layout, Pixel, Query, Renderer, Result,
@@ -61,8 +61,8 @@ impl<B: Backend> LoadedModel<B> {
         Ok(loaded)
     }
 
-    /// Creates initial parameters, with stages that train if `views` is given. Data derived from the parameters is
-    /// not built yet.
+    /// Creates a model with initial parameters; its stages can train if `views` is given. Data derived from the
+    /// parameters is not built yet.
     pub(crate) fn build(backend: Arc<B>, config: &Config, views: Option<ViewSet>) -> Result<Self> {
         let (centred, centre) = config.centred();
         let layout = Layout::new(&centred);
@@ -86,17 +86,17 @@ impl<B: Backend> LoadedModel<B> {
         })
     }
 
-    /// The backend, to read its counters.
+    /// Returns the backend, so that its counters can be read.
     pub fn device(&self) -> &B {
         &self.backend
     }
 
-    /// Names and ranges of the parameters.
+    /// Returns the names and ranges of the parameters.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// All parameters, flat.
+    /// Returns all parameters, flat.
     pub fn parameters(&self) -> Vec<f32> {
         self.backend.read(&self.parameters)
     }
@@ -113,8 +113,8 @@ impl<B: Backend> LoadedModel<B> {
         self.stages.occupancy.restore(&vec![0xff; cells.div_ceil(8)], Some(&vec![1.0; cells]));
     }
 
-    /// As [`Viewer::render`], but never blocks: the future is pending while the device works. A page in a browser
-    /// renders with this.
+    /// Renders a view as [`Viewer::render`] does, but never blocks: the future is pending while the device works. Web
+    /// pages use this method.
     ///
     /// # Errors
     /// As [`Viewer::render`].
@@ -169,7 +169,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(bands.frame(pixels)))
     }
 
-    /// As [`Viewer::samples`].
+    /// Implements [`Viewer::samples`].
     fn count_samples(
         &mut self,
         camera: &Camera,
@@ -205,7 +205,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(Some(all.into_inner().unwrap_or_else(PoisonError::into_inner)))
     }
 
-    /// The occupancy bits of a finished model, without those of cells whose centre is outside at least one part of
+    /// Returns the occupancy bits of a finished model, cleared for cells whose centre is outside at least one part of
     /// `keep`.
     fn clipped(&self, keep: &[Crop]) -> Vec<u8> {
         let space = Space::<f32>::new(&self.config.centred().0.scene);
@@ -245,7 +245,7 @@ impl<B: Backend> LoadedModel<B> {
         Ok(())
     }
 
-    /// The named tensors of the parameters `values`, the bits of the occupancy grid, and the assets.
+    /// Returns the named tensors of the parameters `values`, the bits of the occupancy grid, and the assets.
     pub(crate) fn tensors(&self, values: &[f32]) -> TensorFile {
         let mut file = TensorFile::default();
         self.layout.to_tensors(values, "", &mut file);
@@ -255,13 +255,14 @@ impl<B: Backend> LoadedModel<B> {
         file
     }
 
-    /// Number of cells of the occupancy grid.
+    /// Returns the number of cells of the occupancy grid.
     pub(crate) fn cells(&self) -> usize {
         self.config.occupancy.cells()
     }
 }
 
-/// The bands of rows in which a view is rendered: the first row and the range of pixels of each.
+/// Iterator over the bands of rows in which a view is rendered. Each item is the first row of a band and the band's
+/// range of pixels.
 #[derive(Clone)]
 struct Bands {
     width: u32,
@@ -271,7 +272,7 @@ struct Bands {
 }
 
 impl Bands {
-    /// Bands of about `rays` pixels.
+    /// Creates bands of about `rays` pixels.
     fn of(camera: &Camera, rays: u32) -> Result<Self> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         if width.checked_mul(height).is_none() {
@@ -317,7 +318,7 @@ fn camera_tile<B: Backend>(
     forward(stages, parameters, workspace, None);
 }
 
-/// Maps rays to pixels. Training and rendering share this part.
+/// Runs the forward pass from rays to pixels, which training and rendering share.
 pub(crate) fn forward<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,

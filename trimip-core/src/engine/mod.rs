@@ -1,7 +1,7 @@
 //! Training and rendering over a device. [`backend`] has the traits of the device and its stages, [`batch`] the buffers
-//! that flow between the stages, [`policy`] the host's decisions for each stage. [`trainer`] computes steps, [`loaded`]
-//! renders; programs use them as [`Session`](crate::Session) and [`Viewer`](crate::Viewer). [`exchange`] joins the
-//! processes that train one model.
+//! that flow between the stages, [`policy`] the host's decisions for each stage. [`trainer`] computes steps and
+//! [`loaded`] renders; programs use them through the traits [`Session`](crate::Session) and [`Viewer`](crate::Viewer).
+//! [`exchange`] connects the processes that train one model.
 
 pub mod backend;
 pub mod batch;

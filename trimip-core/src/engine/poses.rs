@@ -1,8 +1,8 @@
-//! Poses of photographs, for `train.cameras = "refine"`: training also moves each photograph's camera, by a rotation and a
-//! translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). Motions are trained
-//! alongside the parameters, are preconditioned ([`Preconditioner`]), and are not part of a model. Their mean over all
-//! cameras, in the axes of the world, stays zero, and so does the growth of the cameras' distances to their centroid, so
-//! the scene keeps its place and its size.
+//! Poses of photographs, for `train.cameras = "refine"`: training also moves each photograph's camera, by a rotation
+//! and a translation in its own axes, and changes its intrinsics ([`intrinsics`](super::intrinsics)). Motions are
+//! trained alongside the parameters, are preconditioned ([`Preconditioner`]), and are not part of a model. Training
+//! keeps two quantities at zero, so that the scene keeps its place and its size: the mean motion of all cameras, in the
+//! axes of the world, and the growth of the cameras' distances to their centroid.
 
 use crate::{
     Camera, Config, Intrinsics, Result, Space, ViewSet,
@@ -28,14 +28,15 @@ pub const PREFIX: &str = "poses.";
 struct Given {
     /// Name of the photograph.
     name: String,
-    /// The camera of its finest view.
+    /// The camera of the photograph's finest view.
     camera: Camera,
     preconditioner: Preconditioner<6>,
 }
 
 impl Given {
-    /// Converts the derivatives `by_world`, by a translation of the camera in the world's axes and rotations around the
-    /// world's origin, to derivatives by the camera's motion at `motion`.
+    /// Converts the derivatives `by_world` to derivatives with respect to the camera's motion, at `motion`. `by_world`
+    /// are the derivatives with respect to a translation of the camera in the world's axes and a rotation around the
+    /// world's origin.
     fn by_motion(&self, motion: &Motion, by_world: [f64; 6]) -> Motion {
         let Camera { rotation, origin, .. } = self.camera;
         let [force, torque] = [&by_world[..3], &by_world[3..]].map(DVec3::from_slice);
@@ -76,13 +77,13 @@ pub struct Refined {
 pub struct Moved {
     /// Number of photographs.
     pub photographs: usize,
-    /// Rotation, degrees.
+    /// Rotation, in degrees.
     pub degrees: f64,
-    /// Translation, world units.
+    /// Translation, in world units.
     pub distance: f64,
     /// Motion of the picture, as a fraction of its longer side.
     pub picture: f64,
-    /// Intrinsics of the cameras.
+    /// Change of the cameras' intrinsics.
     #[serde(default)]
     pub intrinsics: ChangedIntrinsics,
 }
@@ -109,9 +110,9 @@ impl std::fmt::Display for Moved {
 pub struct Aligned {
     /// Number of views.
     pub views: usize,
-    /// Mean PSNR with the given poses, dB.
+    /// Mean PSNR with the given poses, in dB.
     pub given: f64,
-    /// Mean PSNR with the poses that fit the left half best, dB.
+    /// Mean PSNR with the poses that fit the left half best, in dB.
     pub aligned: f64,
 }
 
@@ -127,7 +128,8 @@ impl std::fmt::Display for Aligned {
 }
 
 impl Poses {
-    /// The given poses of `views`, shifted to the centre of the box; `None` unless the configuration refines poses.
+    /// Creates the poses of `views` as given, relative to the centre of the box. Returns `None` unless the
+    /// configuration refines poses.
     pub fn new(config: &Config, views: &ViewSet) -> Option<Self> {
         if config.train.cameras == CameraPoses::Fixed {
             return None;
@@ -153,21 +155,22 @@ impl Poses {
         Some(Self { corrections: Lagged::new(given.len()), given, views: all, intrinsics, free: false })
     }
 
-    /// Lets each camera move by itself, with its intrinsics as given. The model does not change, so the scene keeps its
-    /// place.
+    /// Lets each camera move independently of the others, with its intrinsics as given. This is for a model that does
+    /// not change, which keeps the scene in its place.
     pub(crate) fn set_free(&mut self) {
         self.free = true;
     }
 
-    /// Learning rate at `progress` in [0, 1]; `schedule` is the networks' learning rate relative to its start. The rate
-    /// is zero in the first half of `optimizer.camera_delay`, and rises along a quarter of a sine in the second half.
+    /// Returns the learning rate at `progress` in [0, 1]; `schedule` is the networks' learning rate relative to its
+    /// initial value. The rate is zero in the first half of `optimizer.camera_delay`, and rises along a quarter of a
+    /// sine in the second half.
     pub fn rate(config: &OptimizerConfig, schedule: f64, progress: f64) -> f64 {
         let half = 0.5 * config.camera_delay;
         let risen = if progress < half { 0.0 } else { ((progress - half) / half.max(1e-9)).min(1.0) };
         config.camera_rate * schedule * (std::f64::consts::FRAC_PI_2 * risen).sin()
     }
 
-    /// The current cameras of all views, relative to the centre of the box.
+    /// Returns the current cameras of all views, relative to the centre of the box.
     pub fn cameras(&self) -> Vec<Camera> {
         let motions: Vec<Motion> = (0..self.given.len()).map(|i| self.motion(i)).collect();
         let changed = self.intrinsics.changed();
@@ -177,7 +180,7 @@ impl Poses {
         self.views.iter().map(camera).collect()
     }
 
-    /// The poses that training has found so far; `centre` is that of the box.
+    /// Returns the poses that training has found so far; `centre` is the centre of the box.
     pub fn refined(&self, centre: DVec3) -> Refined {
         let changed = self.intrinsics.changed();
         let camera = |(i, given): (usize, &Given)| {
@@ -203,7 +206,7 @@ impl Poses {
         self.intrinsics.set(change);
     }
 
-    /// How far the cameras are from the given ones.
+    /// Returns how far the cameras are from the given ones.
     fn moved(&self) -> Moved {
         let median = |of: &dyn Fn(usize) -> f64| {
             let mut all: Vec<f64> = (0..self.given.len()).map(of).collect();
@@ -220,18 +223,19 @@ impl Poses {
         }
     }
 
-    /// The gradient of a step's mean loss by the motions of all cameras.
+    /// Returns the gradient of a step's mean loss with respect to the motions of all cameras.
     pub fn by_motions(&self, step: &StepResult) -> Vec<Motion> {
         let by_world = self.by_world(step).into_iter().enumerate();
         by_world.map(|(i, by)| self.given[i].by_motion(&self.motion(i), by)).collect()
     }
 
-    /// The gradient of a step's mean loss by the changes of each camera's intrinsics.
+    /// Returns the gradient of a step's mean loss with respect to the changes of each camera's intrinsics.
     pub fn by_intrinsics(&self, step: &StepResult) -> Vec<Change> {
         self.intrinsics.by_changes(step)
     }
 
-    /// The gradient of a step's mean loss by a translation of each camera in the world's axes and a rotation around the world's origin.
+    /// Returns the gradient of a step's mean loss with respect to a translation of each camera in the world's axes and
+    /// a rotation around the world's origin.
     fn by_world(&self, step: &StepResult) -> Vec<[f64; 6]> {
         let weight = step.sums.weight;
         let mean = |i: usize| match step.cameras.get(i) {
@@ -241,12 +245,12 @@ impl Poses {
         (0..self.given.len()).map(mean).collect()
     }
 
-    /// The current motion of camera `i`.
+    /// Returns the current motion of camera `i`.
     fn motion(&self, i: usize) -> Motion {
         self.given[i].preconditioner.change(self.corrections.values[i].map(f64::from))
     }
 
-    /// Queues the gradient of the next step's result.
+    /// Queues the gradient of `step`, the result of the next step in order.
     pub(crate) fn take(&mut self, step: &StepResult) {
         let by_world = self.by_world(step).into_iter();
         self.corrections.take(by_world.map(|by| by.map(|by| by as f32)).collect());
@@ -265,8 +269,8 @@ impl Poses {
     ) -> bool {
         let mut moved = false;
         while let Some((step, mut gradient)) = self.corrections.due(steps, in_transit) {
-            // Queued derivatives are in the world's axes: a checkpoint may let them arrive early, when the motions still
-            // differ.
+            // Queued derivatives are in the world's axes and are converted here, with the current motions: because of a
+            // checkpoint they may have arrived earlier, when the motions were still different.
             for (i, gradient) in gradient.iter_mut().enumerate() {
                 let given = &self.given[i];
                 let by_motion = given.by_motion(&self.motion(i), gradient.map(f64::from));
@@ -286,13 +290,15 @@ impl Poses {
         moved
     }
 
-    /// Adds the tensors that training needs to resume, of shape [photographs, 6], and those of the intrinsics.
+    /// Adds the tensors from which training resumes: those of the poses, of shape [photographs, 6], and those of the
+    /// intrinsics.
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
         self.corrections.to_tensors(PREFIX, file);
         self.intrinsics.to_tensors(file);
     }
 
-    /// Reads the state from a checkpoint of a run on as many photographs; `name` names the checkpoint in errors.
+    /// Reads the state from a checkpoint of a run on the same number of photographs; `name` names the checkpoint in
+    /// errors.
     pub(crate) fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self {
             corrections: self.corrections.restored(PREFIX, file, name)?,
@@ -325,7 +331,7 @@ fn centre(given: &[Given], values: &mut [[f32; 6]]) {
     }
 }
 
-/// A camera after a motion in its own axes, with changed intrinsics.
+/// Returns a camera after a motion in its own axes, with changed intrinsics.
 fn moved(camera: &Camera, motion: &Motion, changed: &ChangedCamera) -> Camera {
     Camera {
         intrinsics: changed.at(&camera.intrinsics),
@@ -334,7 +340,7 @@ fn moved(camera: &Camera, motion: &Motion, changed: &ChangedCamera) -> Camera {
     }
 }
 
-/// The rotation of a motion.
+/// Returns the rotation of a motion.
 fn turn(motion: &Motion) -> DMat3 {
     DMat3::from_quat(DQuat::from_scaled_axis(DVec3::from_slice(&motion[..3])))
 }
@@ -348,7 +354,7 @@ mod tests {
     use super::*;
     use crate::{Intrinsics, Scale, View, engine::batch::StepSums};
 
-    /// Three cameras around the origin.
+    /// Returns three cameras around the origin.
     fn views() -> ViewSet {
         let camera =
             |origin| Camera::look_at(Intrinsics::from_angle(40, 30, 0.8), origin, DVec3::ZERO, DVec3::Z);
@@ -405,13 +411,14 @@ mod tests {
         }
     }
 
-    /// The loss pull·(a point fixed to camera i) has the derivatives that follow from a force and a torque.
+    /// Checks the gradient against difference quotients of the loss pull·(a point fixed to camera i). Its derivatives
+    /// follow from a force and a torque.
     #[test]
     fn the_gradient_is_the_slope_by_each_motion() {
         let config = configuration();
         let mut poses = Poses::new(&config, &views()).unwrap();
         poses.set(&MOTIONS);
-        // A point fixed to each camera, in its axes, and the force that pulls it.
+        // A point fixed to each camera, in the camera's axes, and the force that pulls it.
         let (local, pull) = (DVec3::new(0.3, -0.2, -2.0), DVec3::new(0.7, -1.1, 0.4));
         let loss = |poses: &Poses, i: usize| {
             let camera = poses.cameras()[i];

@@ -1,26 +1,27 @@
-//! The preconditioner of a camera's parameters (CamP, Park et al. 2023, Eqs. 5 to 8): after it, every parameter moves the
-//! picture by the same amount, and no parameter undoes another.
+//! The preconditioner of a camera's parameters (CamP, Park et al. 2023, Eqs. 5 to 8): every preconditioned parameter
+//! moves the picture by the same amount, and no parameter undoes the effect of another.
 
 use crate::{Camera, Space, math::symmetric::inverse_root_and_root};
 use glam::DVec3;
 
-/// Number of places along each side of the picture, and along the ray of each place, at which motion is measured.
+/// Motion is measured at this number of places along each side of the picture, and at this number of points along the
+/// ray of each place.
 const PLACES: usize = 8;
 
-/// Damping: multiple of the matrix's diagonal that is added (λ of CamP).
+/// Damping: the multiple of the matrix's diagonal that is added to the matrix (λ of CamP).
 const DIAGONAL: f64 = 0.1;
 
-/// Damping: added to the diagonal (μ of CamP).
+/// Damping: the value that is added to the diagonal (μ of CamP).
 const LEAST: f64 = 1e-8;
 
-/// Largest change of a camera, as the motion of its picture: a tenth of the longer side.
+/// Largest change of a camera, measured as the motion of its picture: a tenth of the picture's longer side.
 const MOST: f64 = 0.1;
 
 /// Rotation around the camera's axes (radians), then translation along them (world units).
 pub type Motion = [f64; 6];
 
-/// The map from parameters to changes of a camera: P = (JᵀJ/n + λ·diag(JᵀJ/n) + μ)^(−1/2), where J is the motion of n places of
-/// the picture, as a fraction of its longer side.
+/// The map from parameters to changes of a camera: P = (JᵀJ/n + λ·diag(JᵀJ/n) + μ)^(−1/2), where J is the derivative of
+/// the positions of n points in the picture with respect to the change, as a fraction of the picture's longer side.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Preconditioner<const N: usize> {
     matrix: [[f64; N]; N],
@@ -28,7 +29,7 @@ pub struct Preconditioner<const N: usize> {
 }
 
 impl<const N: usize> Preconditioner<N> {
-    /// The preconditioner whose J has these rows, one for each place and direction of motion.
+    /// Creates the preconditioner whose J has these rows, one for each point and direction of motion.
     pub fn of(rows: impl IntoIterator<Item = [f64; N]>) -> Self {
         let mut sum = [[0.0; N]; N];
         let mut count = 0_u32;
@@ -39,7 +40,7 @@ impl<const N: usize> Preconditioner<N> {
             count += 1;
         }
         for (i, row) in sum.iter_mut().enumerate() {
-            // Two rows for each place.
+            // Each point has two rows.
             row.iter_mut().for_each(|value| *value *= 2.0 / f64::from(count.max(2)));
             row[i] += DIAGONAL * row[i] + LEAST;
         }
@@ -47,17 +48,17 @@ impl<const N: usize> Preconditioner<N> {
         Self { matrix, inverse }
     }
 
-    /// The change of the camera for these parameters.
+    /// Returns the change of the camera for these parameters.
     pub fn change(&self, parameters: [f64; N]) -> [f64; N] {
         product(&self.matrix, parameters)
     }
 
-    /// The parameters of a change.
+    /// Returns the parameters that produce a change.
     pub fn parameters(&self, change: [f64; N]) -> [f64; N] {
         product(&self.inverse, change)
     }
 
-    /// The derivatives by the parameters, for those by the change.
+    /// Converts derivatives with respect to the change into derivatives with respect to the parameters.
     pub fn gradient(&self, by_change: [f64; N]) -> [f64; N] {
         // The matrix is symmetric.
         product(&self.matrix, by_change)
@@ -65,16 +66,17 @@ impl<const N: usize> Preconditioner<N> {
 }
 
 impl Preconditioner<6> {
-    /// The preconditioner of the pose of a camera that sees `space`. Points are spread evenly over its picture and, in
-    /// the parameter of the marching steps, along each ray.
+    /// Creates the preconditioner of the pose of a camera that sees `space`. Points are spread evenly over the camera's
+    /// picture and along each ray, where they are evenly spaced in the parameter of the marching steps.
     pub fn of_pose(camera: &Camera, space: &Space<f64>) -> Self {
         let mut rows = Vec::new();
         each_point(camera, space, |direction, point, radius| {
             let longer = f64::from(camera.intrinsics.width.max(camera.intrinsics.height));
-            // The sphere's disc has the area of a pixel, whose side is √π · `radius` there.
+            // The sphere's disc has the area of a pixel, so the side of a pixel at this point is √π · `radius`.
             let fraction = (std::f64::consts::PI.sqrt() * radius * longer).recip();
             for across in [direction.any_orthonormal_pair().0, direction.any_orthonormal_pair().1] {
-                // A point at x in the camera's axes moves by ω × x + τ against the camera.
+                // If the camera turns by ω and moves by τ, a point at x in its axes moves by −(ω × x + τ). The sign
+                // does not matter.
                 let turn = point.cross(across);
                 rows.push(
                     [turn.x, turn.y, turn.z, across.x, across.y, across.z].map(|value| value * fraction),
@@ -85,17 +87,18 @@ impl Preconditioner<6> {
     }
 }
 
-/// Places of a picture, spread evenly: as fractions of its sides.
+/// Returns places that are spread evenly over a picture, as fractions of the picture's sides.
 pub fn places() -> impl Iterator<Item = [f64; 2]> {
     (0..PLACES).flat_map(|y| (0..PLACES).map(move |x| [middle(x), middle(y)]))
 }
 
-/// The middle of part `i` of [`PLACES`].
+/// Returns the middle of part `i`, if the unit interval is divided into [`PLACES`] equal parts.
 fn middle(i: usize) -> f64 {
     (i as f64 + 0.5) / PLACES as f64
 }
 
-/// Calls `take` with direction, place and radius of points in the camera's axes.
+/// Calls `take` for each point with the direction of its ray, its position and the radius of its sphere, in the
+/// camera's axes.
 fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, DVec3, f64)) {
     let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
     for [x, y] in places() {
@@ -117,7 +120,7 @@ fn each_point(camera: &Camera, space: &Space<f64>, mut take: impl FnMut(DVec3, D
     }
 }
 
-/// Shortens parameters that move the picture further than [`MOST`].
+/// Shortens a vector of parameters that moves the picture by more than [`MOST`].
 pub(crate) fn shorten<const N: usize>(value: &mut [f32; N]) {
     let length = value.iter().map(|value| f64::from(*value).powi(2)).sum::<f64>().sqrt();
     if length > MOST {
@@ -144,8 +147,8 @@ mod tests {
         [Space::of(aabb), Space::contracted(aabb)]
     }
 
-    /// Parameters of length h move the picture by about h of its longer side, whatever their direction. The damping makes
-    /// the motion smaller.
+    /// Checks that a vector of parameters of length h moves the picture by about h of its longer side, whatever the
+    /// vector's direction. The damping makes the motion smaller.
     #[test]
     fn every_parameter_moves_the_picture_by_as_much() {
         for space in spaces() {
@@ -158,7 +161,7 @@ mod tests {
                 let [turn, shift] = [&motion[..3], &motion[3..]].map(DVec3::from_slice);
                 let (mut squares, mut count) = (0.0, 0.0);
                 each_point(&camera, &space, |_, point, _| {
-                    // The place in the picture, in pixels.
+                    // The position in the picture, in pixels.
                     let at = |p: DVec3| camera.intrinsics.fx / -p.z * p.truncate();
                     let moved = point + turn.cross(point) + shift;
                     squares += (at(moved) - at(point)).length_squared();
@@ -182,7 +185,7 @@ mod tests {
         }
     }
 
-    /// A camera that sees nothing of the scene has a pose all the same.
+    /// Checks that a camera that sees nothing of the scene still gets finite motions.
     #[test]
     fn a_camera_that_looks_away_has_finite_parameters() {
         let [space, _] = spaces();

@@ -1,4 +1,4 @@
-//! Density and colour of a model at places of the world, without rendering a picture: for meshes and volumes.
+//! Density and colour of a model at points of the world, without rendering a picture: for meshes and volumes.
 
 use crate::{
     Backend, Field, Query, Result, Space,
@@ -11,16 +11,16 @@ use crate::{
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-/// Places per tile.
+/// Number of queries per tile.
 const PLACES_PER_TILE: u32 = 512;
 
-/// Places whose results are on the device at once.
+/// Number of queries whose results are on the device at once.
 const PLACES_AT_ONCE: usize = 1 << 18;
 
-/// The three parts of a sample.
+/// The rays, intervals and spheres of samples.
 type Parts = (Vec<Ray>, Vec<Interval>, Vec<Sphere>);
 
-/// Queries as samples, each on a ray of its own that starts one `reach` before it.
+/// Converts queries to samples, each on a ray of its own that starts at the distance `reach` in front of the sample.
 fn parts(queries: &[Query], space: &Space<f32>, centre: [f64; 3]) -> Parts {
     let reach = space.aabb().longest();
     let mut parts = (Vec::new(), Vec::new(), Vec::new());
@@ -41,7 +41,7 @@ fn parts(queries: &[Query], space: &Space<f32>, centre: [f64; 3]) -> Parts {
 }
 
 impl<B: Backend> LoadedModel<B> {
-    /// As [`Viewer::query`](crate::Viewer::query); without `colors`, density only.
+    /// Implements [`Viewer::query`](crate::Viewer::query); without `colors`, computes only densities.
     pub(crate) fn evaluate(&mut self, queries: &[Query], colors: bool) -> Result<Vec<Radiance>> {
         let (centred, centre) = self.config.centred();
         let space = Space::<f32>::new(&centred.scene);
@@ -57,7 +57,8 @@ impl<B: Backend> LoadedModel<B> {
                     &mut out,
                     &|work, tile| {
                         let own = tile.start as usize..tile.end as usize;
-                        // A device executes writes of buffers before work that is recorded but not submitted.
+                        // Recorded work is submitted first, because a device executes buffer writes before any work
+                        // that is not submitted yet.
                         backend.submit();
                         work.rays.place(backend, &rays[own.clone()]);
                         work.samples.place(backend, &intervals[own.clone()], &spheres[own]);
@@ -83,7 +84,7 @@ impl<B: Backend> LoadedModel<B> {
 }
 
 impl<B: Backend> LoadedModel<B> {
-    /// As [`Viewer::features`](crate::Viewer::features).
+    /// Implements [`Viewer::features`](crate::Viewer::features).
     pub(crate) fn encode(&mut self, queries: &[Query]) -> Result<Vec<f32>> {
         let (centred, centre) = self.config.centred();
         let (width, stride) = (encoders::of(&centred).width(&centred), encoders::stride(&centred));
@@ -119,7 +120,7 @@ impl<B: Backend> LoadedModel<B> {
 }
 
 impl<B: Backend> Samples<B> {
-    /// Replaces all samples, one per ray.
+    /// Replaces all samples with one sample per ray.
     pub fn place(&mut self, backend: &B, intervals: &[Interval], spheres: &[Sphere]) {
         let count = spheres.len() as u32;
         let segment = |start| crate::engine::batch::Segment { start, count: 1 };

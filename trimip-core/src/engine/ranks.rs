@@ -12,23 +12,23 @@ pub struct Rank {
 }
 
 impl Rank {
-    /// All of the work.
+    /// The only rank, which does all of the work.
     pub const ONLY: Self = Self { id: 0, size: 1 };
 
-    /// True if item `index` of work that is dealt out round-robin belongs to this rank.
+    /// Returns true if item `index` belongs to this rank, when work is dealt out round-robin.
     pub fn has(self, index: usize) -> bool {
         index % self.size == self.id
     }
 
-    /// The part of `count` items that belongs to this rank, if every rank takes a contiguous part.
+    /// Returns the part of `count` items that belongs to this rank, when every rank takes a contiguous part.
     pub fn part(self, count: u32) -> std::ops::Range<u32> {
         let bound = |rank: usize| (u64::from(count) * rank as u64 / self.size as u64) as u32;
         bound(self.id)..bound(self.id + 1)
     }
 }
 
-/// The error for an unexpected message of another rank. Its kind is that of a lost rank, because the results of the other
-/// ranks are unavailable in both cases.
+/// Returns the error for an unexpected message from another rank. It has the kind of the error for a lost rank, because
+/// the results of the other ranks are unavailable in both cases.
 pub fn fault(what: impl std::fmt::Display) -> Error {
     Error::device(format!(
         "message of another rank: {what}; start the same build of the program on every rank"
@@ -38,34 +38,34 @@ pub fn fault(what: impl std::fmt::Display) -> Error {
 /// The processes that train one model together. Every rank makes the same calls in the same order; a call returns when
 /// this rank has what it needs from the others.
 pub trait Ranks: Send + Sync {
-    /// This rank among all of them.
+    /// Returns this rank among all ranks.
     fn rank(&self) -> Rank;
 
-    /// This rank among those on the same machine.
+    /// Returns this rank among the ranks on the same machine.
     fn on_machine(&self) -> Rank {
         self.rank()
     }
 
-    /// Sends `out[r]` to every other rank r, and puts what rank r sent here into `into[r]`. Both have one entry per rank;
-    /// that of this rank is left alone.
+    /// Sends `out[r]` to every other rank r, and stores the bytes that rank r sent to this rank in `into[r]`. Both
+    /// slices have one entry per rank; the entries of this rank are not used.
     ///
     /// # Errors
     /// When another rank is gone.
     fn all_to_all(&self, out: &[&[u8]], into: &mut [Vec<u8>]) -> Result<()>;
 
-    /// Replaces `bytes` on every rank by those of rank 0.
+    /// Replaces `bytes` on every rank with those of rank 0.
     ///
     /// # Errors
     /// When another rank is gone.
     fn broadcast(&self, bytes: &mut Vec<u8>) -> Result<()>;
 
-    /// Sends a message to one rank, which has to [`receive`](Self::receive) it.
+    /// Sends a message to one rank, which must [`receive`](Self::receive) it.
     ///
     /// # Errors
     /// When that rank is gone.
     fn send(&self, to: usize, bytes: &[u8]) -> Result<()>;
 
-    /// Waits for a message of any rank; returns its sender and its bytes.
+    /// Waits for a message from any rank; returns its sender and its bytes.
     ///
     /// # Errors
     /// When another rank is gone.

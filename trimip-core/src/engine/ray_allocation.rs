@@ -1,5 +1,5 @@
-//! Distribution of a step's pixels over the scales of a set: how many each scale gets, their loss weight, and their
-//! cones.
+//! Distribution of a step's pixels over the scales of a set: the number of pixels that each scale gets, and the loss
+//! weight and cones of these pixels.
 
 use crate::{
     Config, Scale, ViewSet,
@@ -11,19 +11,20 @@ use crate::{
 #[derive(Clone, Debug)]
 pub struct ScaleSampling {
     scales: Vec<Scale>,
-    /// The cones of a pixel of each scale, when it is rendered.
+    /// For each scale, the cones into which a pixel is divided when it is rendered.
     patterns: Vec<PixelPattern>,
     train: TrainConfig,
 }
 
 impl ScaleSampling {
-    /// The sampling of the scales of `views`. They and the configuration's box are in the same coordinates.
+    /// Creates the sampling of the scales of `views`. The views and the configuration's box must be in the same
+    /// coordinates.
     pub fn new(config: &Config, views: &ViewSet) -> Self {
         let patterns = Division::new(config).patterns(views);
         Self { scales: views.scales.clone(), patterns, train: config.train.clone() }
     }
 
-    /// The weights of the scales at `progress` in [0, 1].
+    /// Returns the weights of the scales at `progress` in [0, 1].
     pub fn at(&self, progress: f64) -> ScaleWeights {
         let most = self.train.cones.at(progress) as u32;
         let patterns = self.patterns.iter().map(|pattern| pattern.within(most)).collect();
@@ -34,11 +35,11 @@ impl ScaleSampling {
 
 /// Pixels, loss weight and cones of each scale.
 ///
-/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b its fraction of a step's pixels is
-/// ∝ w^(b−1) and each of them has weight w^(1−b). The expected loss is the same at every b, with equal weight for all
-/// scales. At 0 all pixels are equally likely (paper), and the gradient of coarse scales comes from few pixels. At 1 all
-/// scales get equally many pixels, which minimises the variance if the scales have equal variance. The finest scales can be left
-/// out (`train.finest_scale`).
+/// A scale of area weight w = 4^j has 1/w of the finest scale's pixels. At balance b the scale's fraction of a step's
+/// pixels is proportional to w^(b−1), and each of its pixels has the loss weight w^(1−b). The expected loss is the same
+/// at every b and weights all scales equally. At b = 0 all pixels are equally likely (as in the paper), and the
+/// gradient of coarse scales comes from few pixels. At b = 1 all scales get equally many pixels, which minimises the
+/// variance if the scales have equal variance. The finest scales can be left out (`train.finest_scale`).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ScaleWeights {
     fractions: Vec<f64>,
@@ -47,9 +48,9 @@ pub struct ScaleWeights {
 }
 
 impl ScaleWeights {
-    /// The weights of `scales`, fine to coarse, at balance `balance` in [0, 1]; `patterns` are the cones of a pixel of
-    /// each. Scales without pixels and those before number `finest` get none, except that the coarsest one with pixels
-    /// stays in use.
+    /// Computes the weights of `scales`, fine to coarse, at balance `balance` in [0, 1]; `patterns` are the cones of a
+    /// pixel at each scale. A scale gets no pixels of a step if it has none or if its index is below `finest`, except
+    /// that the coarsest scale with pixels stays in use.
     pub fn new(scales: &[Scale], balance: f64, finest: usize, patterns: Vec<PixelPattern>) -> Self {
         let weight = |scale: &Scale| f64::from(scale.weight);
         let coarsest = scales.iter().rposition(|scale| !scale.pixels.is_empty()).unwrap_or(0);
@@ -65,8 +66,8 @@ impl ScaleWeights {
         }
     }
 
-    /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down fraction from the end,
-    /// the finest that has a fraction the rest.
+    /// Divides a step of `pixels` pixels among the scales: coarse scales take their rounded-down fractions from the
+    /// end, and the finest scale that has a fraction takes the rest.
     pub fn allocate(&self, pixels: u32) -> RayAllocation {
         let mut begins = vec![0; self.fractions.len()];
         let mut end = pixels;
@@ -78,17 +79,17 @@ impl ScaleWeights {
         RayAllocation { pixels, begins, patterns: self.patterns.clone() }
     }
 
-    /// Loss weight of a pixel of scale `scale`.
+    /// Returns the loss weight of a pixel of scale `scale`.
     pub fn weight(&self, scale: usize) -> f32 {
         self.weights[scale]
     }
 
-    /// Loss weights, fine to coarse.
+    /// Returns the loss weights, fine to coarse.
     pub fn weights(&self) -> &[f32] {
         &self.weights
     }
 
-    /// Expected number of cones of a pixel.
+    /// Returns the expected number of cones per pixel.
     pub fn cones_per_pixel(&self) -> f64 {
         if self.patterns.iter().all(|&pattern| pattern == PixelPattern::WHOLE) {
             return 1.0;
@@ -101,7 +102,7 @@ impl ScaleWeights {
     }
 }
 
-/// The pixels of a step, fine scales first, and the cones of each.
+/// The pixels of a step, fine scales first, and the cones of each pixel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RayAllocation {
     pixels: u32,
@@ -110,38 +111,38 @@ pub struct RayAllocation {
 }
 
 impl RayAllocation {
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(&self) -> u32 {
         self.pixels
     }
 
-    /// Number of cones.
+    /// Returns the number of cones.
     pub fn cones(&self) -> u32 {
         self.cones_before(self.pixels)
     }
 
-    /// The first pixel of each scale.
+    /// Returns the first pixel of each scale.
     pub fn begins(&self) -> &[u32] {
         &self.begins
     }
 
-    /// The cones of a pixel of each scale.
+    /// Returns the cones of a pixel of each scale.
     pub fn patterns(&self) -> &[PixelPattern] {
         &self.patterns
     }
 
-    /// The scale of a pixel.
+    /// Returns the scale of a pixel.
     #[inline]
     pub fn scale(&self, pixel: u32) -> usize {
         self.begins.iter().rposition(|&begin| pixel >= begin).unwrap_or(0)
     }
 
-    /// Number of cones of all pixels before `pixel`: the index of its first cone.
+    /// Returns the number of cones of all pixels before `pixel`, which is the index of the pixel's first cone.
     pub fn cones_before(&self, pixel: u32) -> u32 {
         self.parts().map(|(begin, end, cones)| (pixel.clamp(begin, end) - begin) * cones).sum()
     }
 
-    /// The first pixel none of whose cones comes before cone number `cone`.
+    /// Returns the first pixel whose cones all have the number `cone` or a higher one.
     pub fn pixel_from(&self, cone: u32) -> u32 {
         let mut before = 0;
         for (begin, end, cones) in self.parts() {
@@ -154,7 +155,7 @@ impl RayAllocation {
         self.pixels
     }
 
-    /// First pixel, end, and cones of a pixel of each scale.
+    /// Returns, for each scale, its first pixel, the end of its pixels, and the number of cones per pixel.
     fn parts(&self) -> impl Iterator<Item = (u32, u32, u32)> + '_ {
         let ends = self.begins.iter().copied().skip(1).chain([self.pixels]);
         let scales = self.begins.iter().zip(ends).zip(&self.patterns);
@@ -180,7 +181,7 @@ mod tests {
         ScaleWeights::new(scales, balance, 0, vec![PixelPattern::WHOLE; scales.len()])
     }
 
-    /// Pixels of each scale.
+    /// Returns the number of pixels of each scale.
     fn pixels(balance: &ScaleWeights, total: u32) -> Vec<u32> {
         let begins = [balance.allocate(total).begins(), &[total]].concat();
         begins.windows(2).map(|pair| pair[1] - pair[0]).collect()
@@ -239,7 +240,7 @@ mod tests {
         assert!((balance.cones_per_pixel() - 3.75).abs() < 1e-12);
         let allocation = balance.allocate(42);
         assert_eq!((allocation.begins(), allocation.cones()), (&[0, 12, 22, 32][..], 22 + 40 + 90));
-        // The literal count: each pixel after the other.
+        // The expected values come from counting the cones pixel by pixel.
         let mut before = 0;
         for pixel in 0..42 {
             assert_eq!(allocation.cones_before(pixel), before);

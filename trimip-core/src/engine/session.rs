@@ -14,24 +14,24 @@ pub struct StepReport {
     pub totals: Totals,
     /// Mean loss.
     pub loss: f64,
-    /// PSNR of the step's own pixels, dB.
+    /// PSNR of the step's pixels, in dB.
     pub batch_psnr: f64,
     /// Learning rate of the networks.
     pub learning_rate: f64,
-    /// Share of occupied cells.
+    /// Fraction of the occupancy grid's cells that are occupied.
     pub occupied: f64,
 }
 
 /// A model that renders views on some backend. It may be finished or in training; it cannot be trained through this
 /// trait.
 pub trait Viewer: Send {
-    /// Name of the backend.
+    /// Returns the name of the backend.
     fn backend(&self) -> &str;
 
-    /// The device behind the backend's name.
+    /// Returns the name of the device that the backend uses.
     fn device_name(&self) -> String;
 
-    /// The settings that the device cannot honour as written, one line each, to be shown by the program.
+    /// Returns one line for each setting that the device cannot honour as written, for the program to show.
     fn notes(&self) -> Vec<String> {
         Vec::new()
     }
@@ -42,8 +42,9 @@ pub trait Viewer: Send {
     /// When the picture has more than 2^32 pixels, or the device fails.
     fn render(&mut self, camera: &Camera) -> Result<Frame>;
 
-    /// As [`render`](Self::render). Calls `watch` with the number of finished rows and the number of all rows, the
-    /// first time with no finished row. If `watch` returns false, rendering stops and the result is `None`.
+    /// Renders as [`render`](Self::render) does, and calls `watch` with the number of finished rows and the number of
+    /// all rows. In the first call no row is finished. If `watch` returns false, rendering stops and the result is
+    /// `None`.
     ///
     /// # Errors
     /// As [`render`](Self::render).
@@ -53,14 +54,14 @@ pub trait Viewer: Send {
         watch: &mut dyn FnMut(u32, u32) -> bool,
     ) -> Result<Option<Frame>>;
 
-    /// Evaluates density and colour at places of the world, one result each, also where the occupancy grid is empty and
-    /// nothing is rendered.
+    /// Evaluates density and colour at points of the world and returns one result per query, also where the occupancy
+    /// grid is empty and rendering shows nothing.
     ///
     /// # Errors
     /// When the device fails.
     fn query(&mut self, queries: &[Query]) -> Result<Vec<Radiance>>;
 
-    /// As [`query`](Self::query), without colours.
+    /// Evaluates only the densities, in the same way as [`query`](Self::query).
     ///
     /// # Errors
     /// When the device fails.
@@ -68,7 +69,8 @@ pub trait Viewer: Send {
         Ok(self.query(queries)?.into_iter().map(|radiance| radiance.density).collect())
     }
 
-    /// The encoder's features at places of the world: [queries, [width](crate::field::encoders::Definition::width)], row by row.
+    /// Returns the encoder's features at points of the world: [queries,
+    /// [width](crate::field::encoders::Definition::width)], row by row.
     ///
     /// # Errors
     /// When the device fails, or this viewer has no encoder.
@@ -77,7 +79,7 @@ pub trait Viewer: Send {
         Err(Error::run("this viewer has no features"))
     }
 
-    /// Number of kept samples of each pixel, summed over its cones. `watch` is as in
+    /// Returns the number of kept samples of each pixel, summed over its cones. `watch` is as in
     /// [`render_watched`](Self::render_watched).
     ///
     /// # Errors
@@ -91,10 +93,11 @@ pub trait Viewer: Send {
         Err(Error::run("this viewer has no samples"))
     }
 
-    /// Renders only the cells of the occupancy grid whose centre is in every part of `keep`; all cells if it is empty.
+    /// Restricts rendering to the cells of the occupancy grid whose centre is in every part of `keep`; an empty `keep`
+    /// restores all cells.
     ///
     /// # Errors
-    /// When this viewer cannot leave cells out, such as one in training.
+    /// When this viewer cannot leave cells out, for example because its model is in training.
     fn clip(&mut self, keep: &[Crop]) -> Result<()> {
         match keep {
             [] => Ok(()),
@@ -110,33 +113,35 @@ pub trait Session: Viewer {
     /// # Errors
     /// When the loss of a step is not finite, or the device fails.
     ///
-    /// After a loss that is not finite, no checkpoint holds an update by its gradient. A backend without lag
-    /// ([`Backend::LAG`](crate::Backend::LAG) = 0: `"cpu"`) checks the loss before the update: parameters and moments are
-    /// those before the step, except for parameters that [grow](crate::field::encoders::Definition::stage) at its
-    /// progress. A backend that runs ahead (`"wgpu"`: 2 steps) reports the error that many steps later, after the updates
-    /// in between. From then on `step`, [`checkpoint`](Self::checkpoint) and [`finish`](Self::finish) return the same
-    /// error, until [`restore`](Self::restore) replaces the state.
+    /// After a loss that is not finite, no checkpoint holds an update with the gradient of that loss. A backend without
+    /// lag ([`Backend::LAG`](crate::Backend::LAG) = 0: `"cpu"`) checks the loss before the update: parameters and
+    /// moments stay as they were before the step, except for parameters that
+    /// [grow](crate::field::encoders::Definition::stage) at the progress of the step. A backend that runs ahead of the
+    /// host (`"wgpu"`: by 2 steps) reports the error this number of steps later, after the updates in between. From
+    /// then on `step`, [`checkpoint`](Self::checkpoint) and [`finish`](Self::finish) return the same error, until
+    /// [`restore`](Self::restore) replaces the state.
     fn step(&mut self, progress: f64) -> Result<StepReport>;
 
-    /// Everything that rendering needs.
+    /// Returns everything that rendering needs.
     ///
     /// # Errors
     /// When the device failed.
     fn model(&mut self) -> Result<Model>;
 
-    /// The model as its file will hold it. This ends the training: afterwards the session renders this model.
+    /// Returns the model as its file will hold it. This call ends the training; afterwards the session renders this
+    /// model.
     ///
     /// # Errors
     /// When the device failed, or an earlier step was not finite, see [`step`](Self::step).
     fn finish(&mut self) -> Result<Model>;
 
-    /// Everything that is needed to continue the training with the same bits.
+    /// Returns everything that is needed to continue the training with the same bits.
     ///
     /// # Errors
     /// When the device failed, or a step that is in the parameters was not finite, see [`step`](Self::step).
     fn checkpoint(&mut self) -> Result<Checkpoint>;
 
-    /// Takes part in the checkpoint of rank 0, without creating one on this rank.
+    /// Takes part in creating the checkpoint of rank 0, without creating one on this rank.
     ///
     /// # Errors
     /// As [`checkpoint`](Self::checkpoint).
@@ -144,7 +149,7 @@ pub trait Session: Viewer {
         self.checkpoint().map(drop)
     }
 
-    /// The poses that training has found; `None` unless it refines poses.
+    /// Returns the poses that training has found; `None` unless training refines poses.
     fn refined(&self) -> Option<Refined> {
         None
     }
@@ -162,6 +167,6 @@ pub trait Session: Viewer {
     /// Continues from a checkpoint.
     ///
     /// # Errors
-    /// When its tensors do not fit the configuration, or the device failed.
+    /// When the checkpoint's tensors do not fit the configuration, or the device failed.
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<()>;
 }

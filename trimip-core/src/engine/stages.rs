@@ -67,7 +67,7 @@ impl<B: Backend> Stages<B> {
 /// Maps samples to features. A sample is a sphere on the axis of a cone. The encoder also gets the sample's ray and
 /// interval, which complete its geometry; it may use a Gaussian along the cone instead, or several points inside it.
 pub trait Encoder<B: Backend>: Send + Sync {
-    /// Feature gradients of some tiles, with the places they belong to.
+    /// Feature gradients of several tiles, with the data that assigns them to parameters.
     type Gradient: Send;
 
     /// Creates an empty gradient.
@@ -84,7 +84,7 @@ pub trait Encoder<B: Backend>: Send + Sync {
     /// [samples, [`context`](crate::field::encoders::Definition::context)]: the values that the backward pass needs.
     fn forward(&self, tile: &mut Tile<'_, B>, context: &mut B::Buffer<f32>, features: &mut B::Buffer<f32>);
 
-    /// Keeps the rows `kept` (ascending) of context and features, which survived pruning, and drops the others.
+    /// Drops all rows of `context` and `features` except the rows `kept` (ascending), whose samples survived pruning.
     fn keep(
         &self,
         stream: &mut B::Stream,
@@ -115,11 +115,11 @@ pub trait Encoder<B: Backend>: Send + Sync {
 }
 
 /// Maps features to density, then to colour (two small networks). Density is evaluated separately from colour, so that
-/// occupancy and pruning never pay for colour.
+/// occupancy refreshes and pruning need not evaluate colour.
 pub trait Field<B: Backend>: Send + Sync {
-    /// Activations, kept from forward to backward.
+    /// Activations that the forward pass keeps for the backward pass.
     type Context: Send;
-    /// Weight gradients of some tiles.
+    /// Weight gradients of several tiles.
     type Gradient: Send;
 
     /// Creates an empty context.
@@ -132,7 +132,7 @@ pub trait Field<B: Backend>: Send + Sync {
     fn refresh(&mut self, parameters: &B::Buffer<f32>);
 
     /// Evaluates the density of every sample, given features, [samples, stride]; `radiance` gets one value per sample.
-    /// Stores geometry features and activations on the context.
+    /// Stores geometry features and activations in `context`.
     fn density(
         &self,
         tile: &mut Tile<'_, B>,
@@ -141,7 +141,7 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Keeps the rows `kept` (ascending) of context and radiance, which survived pruning, and drops the others.
+    /// Drops all rows of `context` and `radiance` except the rows `kept` (ascending), whose samples survived pruning.
     fn keep(
         &self,
         stream: &mut B::Stream,
@@ -151,8 +151,8 @@ pub trait Field<B: Backend>: Send + Sync {
     );
 
     /// Evaluates the colour of every kept sample whose weight in its ray is at least `least`, and writes it to
-    /// `radiance`, which has one value per sample. The others are black, and nothing flows back through their colours.
-    /// With 0 all samples have a colour, and their segments are not read.
+    /// `radiance`, which has one value per sample. The other samples are black, and no gradient flows through their
+    /// colours. If `least` is 0, all samples get a colour, and the segments are not read.
     fn color(
         &self,
         tile: &mut Tile<'_, B>,
@@ -161,11 +161,12 @@ pub trait Field<B: Backend>: Send + Sync {
         radiance: &mut B::Buffer<Radiance>,
     );
 
-    /// Draws samples by the norms of the gradients of their logits: the derivatives by density and colour times the
-    /// slopes of their activations. Marks the drawn samples, and divides their gradients by their probabilities.
+    /// Draws samples according to the norms of the gradients with respect to their logits: the derivatives with respect
+    /// to density and colour, multiplied by the slopes of the activations. Marks the drawn samples, and divides their
+    /// gradients by their probabilities.
     ///
-    /// Along a ray, samples are drawn systematically: one is drawn wherever the sum of the probabilities reaches a whole
-    /// number. The sum begins at a random number in [0, 1), the ray's [`SampleDraw::first`].
+    /// Along a ray, samples are drawn systematically: one is drawn wherever the running sum of the probabilities
+    /// reaches a whole number. The sum begins at a random number in [0, 1), the ray's [`SampleDraw::first`].
     fn draw(
         &self,
         tile: &mut Tile<'_, B>,
@@ -174,8 +175,8 @@ pub trait Field<B: Backend>: Send + Sync {
         arrays: FieldDraw<'_, B>,
     );
 
-    /// Keeps the rows `drawn` (ascending) of context, radiance and its gradients, as [`keep`](Self::keep) does, including
-    /// the context of colour.
+    /// Drops all rows of `context`, `radiance` and `radiance_gradients` except the rows `drawn` (ascending). Unlike in
+    /// [`keep`](Self::keep), the rows of `context` include those of colour.
     fn keep_drawn(
         &self,
         stream: &mut B::Stream,
@@ -203,22 +204,22 @@ pub trait Field<B: Backend>: Send + Sync {
 /// Maps rays to samples and samples to pixels (cones sampled in uniform steps; volume rendering, NeRF Eq. 3). A pixel
 /// is the mean of its group of cones.
 pub trait Renderer<B: Backend>: Send + Sync {
-    /// Steps, thresholds and background.
+    /// Returns the policy: steps, thresholds and background.
     fn policy(&self) -> &RendererPolicy;
 
-    /// The policy, mutable.
+    /// Returns a mutable reference to the policy.
     fn policy_mut(&mut self) -> &mut RendererPolicy;
 
     /// Sets the guide that chooses the samples of pictures; `None` for volume rendering.
     ///
     /// # Errors
-    /// When the device cannot hold it.
+    /// When the device cannot hold the guide.
     fn set_guide(&mut self, guide: Option<Guide>) -> Result<()>;
 
     /// Sets the assets of the model's scene. Called once, before the first view is rendered.
     ///
     /// # Errors
-    /// When an asset that the renderer needs is missing or broken, or the device cannot hold it.
+    /// When an asset that the renderer needs is missing or broken, or the device cannot hold the asset.
     fn set_assets(&mut self, assets: &Assets) -> Result<()> {
         let guide = self.policy().guide(assets)?;
         self.set_guide(guide)
@@ -229,7 +230,7 @@ pub trait Renderer<B: Backend>: Send + Sync {
         self.policy_mut().set_progress(progress);
     }
 
-    /// Weight of a sample in its ray below which it has no colour (`renderer.color_weight`).
+    /// Returns the compositing weight below which a sample has no colour (`renderer.color_weight`).
     fn color_weight(&self) -> f32 {
         self.policy().color_weight()
     }
@@ -246,9 +247,9 @@ pub trait Renderer<B: Backend>: Send + Sync {
         samples: &mut Samples<B>,
     );
 
-    /// Drops samples behind the least transmittance, and merges faint samples with the next sample of their ray
-    /// ([`Pruning`](crate::math::compositing::Pruning)). `radiance` has one value per marched sample; `kept` receives the
-    /// rows that remain, ascending.
+    /// Drops the samples behind the point where transmittance falls below its minimum, and merges faint samples with
+    /// the next sample of their ray ([`Pruning`](crate::math::compositing::Pruning)). `radiance` has one value per
+    /// marched sample; `kept` receives the rows that remain, ascending.
     fn prune(
         &self,
         stream: &mut B::Stream,
@@ -258,8 +259,8 @@ pub trait Renderer<B: Backend>: Send + Sync {
     );
 
     /// Lists in `drawn` the rows of the samples that [`Field::draw`] marked, keeps these samples and drops the others.
-    /// `marks` has one value per sample. The number of drawn samples replaces that of the kept ones in
-    /// [`StepSums::drawn`](crate::engine::batch::StepSums).
+    /// `marks` has one value per sample. In [`StepSums::drawn`](crate::engine::batch::StepSums), the number of drawn
+    /// samples replaces the number of kept samples.
     fn keep_drawn(
         &self,
         stream: &mut B::Stream,
@@ -269,10 +270,10 @@ pub trait Renderer<B: Backend>: Send + Sync {
         sums: &mut B::Sums,
     );
 
-    /// Maps the rays of a workspace to the density of their visible samples, ready for colour. `parameters` is flat,
-    /// `jitter` as in [`march`](Self::march). A renderer may walk each ray front to back in pieces and stop where it is
-    /// opaque, provided that it keeps the same samples as [`evaluate_visible_samples`]. It may also place samples by a
-    /// rule of its own.
+    /// Places samples along the rays of a workspace, evaluates their densities and keeps the visible samples, ready for
+    /// colour. `parameters` is flat; `jitter` is as in [`march`](Self::march). A renderer may walk each ray front to
+    /// back in pieces and stop where the ray is opaque, provided that it keeps the same samples as
+    /// [`evaluate_visible_samples`]. It may also place samples by a rule of its own.
     fn visibility_pass(
         &self,
         stages: &Stages<B>,
@@ -284,8 +285,8 @@ pub trait Renderer<B: Backend>: Send + Sync {
     }
 
     /// Composites each cone on the background of its pixel's target, or on the configured background if there are no
-    /// targets. `radiance` has one value per sample. `cones` gets one value per ray, `pixels` one per group, the mean of
-    /// its cones.
+    /// targets. `radiance` has one value per sample. `cones` gets one value per ray, and `pixels` gets one value per
+    /// group: the mean of the group's cones.
     fn composite(
         &self,
         tile: &mut Tile<'_, B>,
@@ -294,8 +295,8 @@ pub trait Renderer<B: Backend>: Send + Sync {
         pixels: &mut B::Buffer<Pixel>,
     );
 
-    /// Maps gradients of pixels, [r, g, b, opacity] of each, to gradients of density and colour, one per sample like
-    /// `radiance`. `cones` is the output of [`composite`](Self::composite).
+    /// Maps the gradient with respect to each pixel's [r, g, b, opacity] to gradients with respect to density and
+    /// colour, one value per sample like `radiance`. `cones` is the output of [`composite`](Self::composite).
     fn backward(
         &self,
         tile: &mut Tile<'_, B>,
@@ -308,38 +309,38 @@ pub trait Renderer<B: Backend>: Send + Sync {
 
 /// Maps gradients to new parameters (AdamW, Loshchilov and Hutter 2019).
 pub trait Optimizer<B: Backend>: Send + Sync {
-    /// The rules of the updates.
+    /// Returns the policy: the rules of the updates.
     fn policy(&self) -> &OptimizerPolicy;
 
-    /// The policy, mutable.
+    /// Returns a mutable reference to the policy.
     fn policy_mut(&mut self) -> &mut OptimizerPolicy;
 
     /// Performs a step. Gradients are first divided by `sums.weight` of the partial gradients.
     fn step(&mut self, update: &mut Update<'_, B>);
 
-    /// Restricts updates to these parts of the slots, one per slot. Only a part of a growing slot is in use.
+    /// Restricts updates to these parts of the slots, one per slot, because only a part of a growing slot is in use.
     fn restrict(&mut self, parts: &[ActiveRange]) {
         self.policy_mut().restrict(parts);
     }
 
-    /// First and second moments, flat as the parameters.
+    /// Returns the first and second moments, flat like the parameters.
     fn moments(&self) -> [&B::Buffer<f32>; 2];
 
-    /// The moments, mutable, to restore a checkpoint.
+    /// Returns mutable references to the moments, for restoring a checkpoint.
     fn moments_mut(&mut self) -> [&mut B::Buffer<f32>; 2];
 
-    /// Number of gradients that were not finite or whose square overflows f32. Their parameters were not updated, because
-    /// a second moment that is infinite once would never let its parameter move again. The number includes terms of
-    /// gradients that a device left out because of their size.
+    /// Returns the number of gradients that were not finite or whose square overflows f32. The parameters with these
+    /// gradients were not updated, because an infinite second moment would never let its parameter move again. The
+    /// number includes terms of gradients that a device left out because they were too large.
     fn non_finite(&self) -> u64;
 }
 
 /// Generates rays.
 pub trait Sampler<B: Backend>: Send + Sync {
-    /// Scales, schedules and random numbers.
+    /// Returns the policy: scales, schedules and random numbers.
     fn policy(&self) -> &SamplerPolicy;
 
-    /// The policy, mutable.
+    /// Returns a mutable reference to the policy.
     fn policy_mut(&mut self) -> &mut SamplerPolicy;
 
     /// Distributes the pixels of later steps among the scales, by the schedules at `progress` in [0, 1].
@@ -347,7 +348,7 @@ pub trait Sampler<B: Backend>: Send + Sync {
         self.policy_mut().set_progress(progress);
     }
 
-    /// The balance of the scales, by the last [`set_progress`](Self::set_progress).
+    /// Returns the balance of the scales, as of the last [`set_progress`](Self::set_progress).
     fn scale_weights(&self) -> &ScaleWeights {
         self.policy().scale_weights()
     }
@@ -367,8 +368,9 @@ pub trait Sampler<B: Backend>: Send + Sync {
         rays: &mut Rays<B>,
     );
 
-    /// Adds the errors of the pixels `range` of a training step to their cells of the error map, if there is one. `rays`
-    /// are the rays of these pixels, and `pixel_gradients`, one per pixel, the output of [`Loss::evaluate_pixels`].
+    /// Adds the errors of the pixels `range` of a training step to their cells of the error map, if there is one.
+    /// `rays` are the rays of these pixels, and `pixel_gradients`, one per pixel, is the output of
+    /// [`Loss::evaluate_pixels`].
     fn observe(
         &self,
         stream: &mut B::Stream,
@@ -381,7 +383,7 @@ pub trait Sampler<B: Backend>: Send + Sync {
     /// Returns and clears the sums of [`observe`](Self::observe), one per cell. Waits for the device.
     fn take_errors(&mut self) -> Vec<CellErrors>;
 
-    /// Sets another error map of the same photographs, by which the pixels of later steps are drawn.
+    /// Sets another error map of the same photographs, which later steps use to draw their pixels.
     fn set_error_map(&mut self, map: ErrorMap);
 
     /// Generates the cones of the pixels `range` of a camera, row by row, without targets. The camera is relative to the
@@ -405,17 +407,17 @@ pub trait Occupancy<B: Backend>: Send + Sync {
         samples: &mut Samples<B>,
     );
 
-    /// Updates densities and bits by the densities in `radiance`, one per selected cell, in order.
+    /// Updates the densities and bits of the selected cells with the densities in `radiance`, one per cell, in order.
     fn update(&mut self, radiance: &B::Buffer<Radiance>);
 
-    /// Fraction of cells that are occupied.
+    /// Returns the fraction of the cells that are occupied.
     fn occupied(&self) -> f64;
 
-    /// Running maximum of density·step per cell, in cell order; [`OUTSIDE`](crate::geometry::occupancy::OUTSIDE) for
-    /// cells that cannot be occupied.
+    /// Returns the running maximum of density·step for each cell, in cell order;
+    /// [`OUTSIDE`](crate::geometry::occupancy::OUTSIDE) for cells that cannot be occupied.
     fn densities(&self) -> Vec<f32>;
 
-    /// One bit per cell, in cell order, lowest bit first.
+    /// Returns one bit per cell, in cell order, lowest bit first.
     fn bits(&self) -> Vec<u8>;
 
     /// Restores the values of [`Occupancy::bits`] and, for training, of [`Occupancy::densities`].
@@ -426,7 +428,7 @@ pub trait Occupancy<B: Backend>: Send + Sync {
 pub struct RenderedTile<'a, B: Backend> {
     /// The rays with the targets of their pixels.
     pub rays: &'a Rays<B>,
-    /// The kept samples along them.
+    /// The kept samples along the rays.
     pub samples: &'a Samples<B>,
     /// Density and colour of each sample.
     pub radiance: &'a B::Buffer<Radiance>,
@@ -437,16 +439,17 @@ pub struct RenderedTile<'a, B: Backend> {
 /// Maps pixels and the weights of their samples to the loss: the sum of the registered terms
 /// ([`losses`](crate::field::losses)) that the configuration enables.
 pub trait Loss<B: Backend>: Send + Sync {
-    /// Sets the gains (RGB) of each photograph, by the numbers in [`Rays::photographs`]. An adjustment applies them to
-    /// rendered colours before the comparison. Initially there are none, and rendered colours are compared as they are.
+    /// Sets the gains (RGB) of all photographs, indexed by the numbers in [`Rays::photographs`]. An adjustment
+    /// multiplies rendered colours by the gains before the comparison. Initially there are no gains, and rendered
+    /// colours are compared as they are.
     fn set_gains(&mut self, gains: &[[f32; 3]]);
 
-    /// Applies the schedules of the terms' weights at `progress` in [0, 1]; initially it is 0.
+    /// Applies the schedules of the terms' weights at `progress` in [0, 1]; initially the progress is 0.
     fn set_progress(&mut self, progress: f64);
 
-    /// Evaluates the photometric term and the terms of pixels. Writes their gradient with respect to each pixel's [r, g,
-    /// b, opacity], weighted by area but not yet divided by the sum of the weights, and adds to the sums. With gains it
-    /// also adds the derivatives by the log-gains.
+    /// Evaluates the photometric term and the terms of pixels. Writes their gradient with respect to each pixel's [r,
+    /// g, b, opacity], weighted by area but not yet divided by the sum of the weights, and adds the values of the terms
+    /// to `sums`. With gains it also adds the derivatives with respect to the log-gains.
     fn evaluate_pixels(
         &self,
         stream: &mut B::Stream,
@@ -455,9 +458,9 @@ pub trait Loss<B: Backend>: Send + Sync {
         sums: &mut B::Sums,
     );
 
-    /// Adds the terms of rays (the mean over the cones of a pixel, weighted by area) to the sums, and their gradients to
-    /// the densities' in `radiance_gradients`, which has one value per sample and was written by [`Renderer::backward`].
-    /// Called once after [`evaluate_pixels`](Self::evaluate_pixels).
+    /// Adds the terms of rays (the mean over the cones of a pixel, weighted by area) to the sums, and adds their
+    /// gradients to those of the densities in `radiance_gradients`, which has one value per sample and was written by
+    /// [`Renderer::backward`]. Called once after [`evaluate_pixels`](Self::evaluate_pixels).
     fn evaluate_rays(
         &self,
         stream: &mut B::Stream,
@@ -467,13 +470,14 @@ pub trait Loss<B: Backend>: Send + Sync {
     );
 }
 
-/// Maps gradients of features to derivatives of the loss by motions of cameras.
+/// Maps gradients of features to derivatives of the loss with respect to motions of cameras.
 ///
-/// Each ray is displaced, with all of its samples, by its own radius across its direction: to a random side and to the
-/// opposite one. The difference of a sample's features on both sides, times the gradient of the features and divided by
-/// the sample's width, is the mean slope of the loss over this width. A random direction covers one of the two dimensions
-/// across a ray; other steps cover the other one, so the slope counts twice. Motion along a ray changes no picture.
-/// Changes of density and colour by another direction, radius or placement of samples are neglected.
+/// Each ray is displaced, with all of its samples, perpendicular to its direction: by plus and by minus its radius,
+/// along a random perpendicular. The difference of a sample's features between the two sides, multiplied by the
+/// gradient of the loss with respect to the features and divided by the sample's width, is the mean slope of the loss
+/// over this width. The random perpendicular covers only one of the two dimensions across the ray, so the slope is
+/// doubled; other steps cover the other dimension. Motion along a ray changes no picture. The gradient neglects how
+/// another direction, radius or placement of samples changes density and colour.
 pub trait PoseGradients<B: Backend>: Send + Sync {
     /// Moves all rays of a tile and their samples by `side` (1 or −1) times their radius along the random direction of
     /// each ray. `displaced.rays` gets one ray per cone, `displaced.spheres` one sphere per sample.
@@ -489,7 +493,7 @@ pub trait PoseGradients<B: Backend>: Send + Sync {
         displaced: &mut Displaced<B>,
     );
 
-    /// Adds the derivatives by the photographs' cameras
+    /// Adds the derivatives with respect to the photographs' cameras
     /// ([`StepResult::cameras`](crate::engine::batch::StepResult::cameras)) to the sums. `slopes` has one value per
     /// sample, see [`compare`](Self::compare).
     fn add(&self, tile: &mut Tile<'_, B>, step: u64, slopes: &B::Buffer<f32>, sums: &mut B::Sums);

@@ -1,4 +1,5 @@
-//! The results of a training step on the host: losses, counts, and the derivatives by exposures and cameras.
+//! The results of a training step on the host: losses, counts, and the derivatives with respect to exposures and
+//! cameras.
 
 use crate::{Result, engine::ranks::fault};
 use serde::{Deserialize, Serialize};
@@ -9,20 +10,20 @@ pub struct StepSums {
     /// Σ weight · loss: the photometric term averaged over channels, plus the other enabled terms
     /// ([`losses`](crate::field::losses)).
     pub loss: f64,
-    /// Σ weight over the pixels that the loss is averaged over.
+    /// Σ weight of the pixels over which the loss is averaged.
     pub weight: f64,
     /// Σ importance · squared error over channels.
     pub squared_error: f64,
-    /// Pixels.
+    /// Number of pixels.
     pub rays: u64,
-    /// Samples marched.
+    /// Number of marched samples.
     pub marched: u64,
-    /// Samples kept.
+    /// Number of kept samples.
     pub kept: u64,
-    /// Samples with a backward pass: those that were drawn, otherwise all kept ones.
+    /// Number of samples with a backward pass: the drawn samples, or all kept samples in a step without a draw.
     #[serde(default)]
     pub drawn: u64,
-    /// Pixels that are not finite.
+    /// Number of pixels that are not finite.
     pub non_finite: u64,
 }
 
@@ -43,10 +44,11 @@ impl StepSums {
 /// Largest number of steps whose sums have not been read back.
 pub const MOST_PENDING: usize = 2;
 
-/// Derivatives of [`StepSums::loss`] by the camera of a photograph: four vectors along the axes of the world. They are
-/// the derivatives by a translation of the camera, by rotations around the axes (the origin fixed), Σ c·g, and Σ τ²·c·g.
-/// Here g is the derivative by a motion of a ray's direction across it, and c and τ are cosine and tangent of its angle
-/// to the optical axis. The last two vectors determine the derivatives by intrinsics
+/// Derivatives of [`StepSums::loss`] with respect to the camera of a photograph: four vectors along the axes of the
+/// world. The first is the derivative with respect to a translation of the camera, and the second with respect to
+/// rotations around the world's axes through the origin. The others are Σ c·g and Σ τ²·c·g over rays: g is the
+/// derivative with respect to a motion of the ray's direction perpendicular to itself, and c and τ are the cosine and
+/// tangent of the ray's angle to the optical axis. They determine the derivatives with respect to intrinsics
 /// ([`intrinsics`](crate::engine::intrinsics)).
 pub type CameraSums = [f64; 12];
 
@@ -55,14 +57,16 @@ pub type CameraSums = [f64; 12];
 pub struct StepResult {
     /// Losses and counts.
     pub sums: StepSums,
-    /// Derivative of [`StepSums::loss`] by the log-gains (RGB) of each photograph; empty without `loss.exposure`.
+    /// Derivative of [`StepSums::loss`] with respect to the log-gains (RGB) of each photograph; empty without
+    /// `loss.exposure`.
     pub exposures: Vec<[f64; 3]>,
-    /// Derivatives of [`StepSums::loss`] by the camera of each photograph. Empty unless cameras are refined.
+    /// Derivatives of [`StepSums::loss`] with respect to the camera of each photograph; empty unless cameras are
+    /// refined.
     pub cameras: Vec<CameraSums>,
 }
 
 impl StepResult {
-    /// All numbers as bits, to be sent to another process.
+    /// Returns all numbers as bits, to be sent to another process.
     pub fn to_words(&self) -> Vec<u64> {
         let StepSums { loss, weight, squared_error, rays, marched, kept, drawn, non_finite } = self.sums;
         let sums = [loss, weight, squared_error].map(f64::to_bits).into_iter();
@@ -72,10 +76,10 @@ impl StepResult {
         sums.chain(counts).chain([self.exposures.len() as u64]).chain(by_photographs).collect()
     }
 
-    /// The result whose [`to_words`](Self::to_words) are `words`.
+    /// Returns the result whose [`to_words`](Self::to_words) are `words`.
     ///
     /// # Errors
-    /// When their number is not 9, three for each exposure and twelve for each camera.
+    /// When the number of words is not 9 plus three per exposure plus twelve per camera.
     pub fn of_words(words: &[u64]) -> Result<Self> {
         let of = |words: &[u64]| -> Option<Self> {
             let (&[loss, weight, squared_error, rays, marched, kept, drawn, non_finite, exposures], rest) =
@@ -105,13 +109,13 @@ impl StepResult {
     }
 }
 
-/// Rows of `N` numbers, if the words are whole rows.
+/// Returns rows of `N` numbers, or `None` if the last row is incomplete.
 fn rows<const N: usize>(words: &[u64]) -> Option<Vec<[f64; N]>> {
     let (rows, rest) = words.as_chunks();
     rest.is_empty().then(|| rows.iter().map(|row| row.map(f64::from_bits)).collect())
 }
 
-/// Adds rows to rows; missing rows count as zero.
+/// Adds the rows `other` to the rows `own`; missing rows count as zero.
 fn add_rows<const N: usize>(own: &mut Vec<[f64; N]>, other: &[[f64; N]]) {
     own.resize(own.len().max(other.len()), [0.0; N]);
     own.as_flattened_mut().iter_mut().zip(other.as_flattened()).for_each(|(own, other)| *own += other);

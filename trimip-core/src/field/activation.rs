@@ -8,7 +8,8 @@ use crate::{
     math::scalar::Real,
 };
 
-/// Largest argument of the exponential. The density stays finite, and a sample of this density is opaque at any length.
+/// Largest argument of the exponential. With this bound the density stays finite, and a sample of this density is
+/// opaque at any length.
 pub const LARGEST_ARGUMENT: f64 = 60.0;
 
 /// Map from a density logit to a density per world unit (`field.density`).
@@ -16,20 +17,20 @@ pub const LARGEST_ARGUMENT: f64 = 60.0;
 pub struct Density {
     /// The function.
     pub kind: DensityFunction,
-    /// Subtracted from the logit.
+    /// Number that is subtracted from the logit.
     pub shift: f64,
-    /// Factor of the density.
+    /// Factor by which the density is multiplied.
     pub scale: f64,
 }
 
 impl Density {
-    /// The map of a configuration.
+    /// Creates the map of a configuration.
     pub fn new(config: &FieldConfig) -> Self {
         let [shift, scale] = [config.density_shift, config.density_scale].map(f64::from);
         Self { kind: config.density, shift, scale }
     }
 
-    /// Density per world unit from its logit.
+    /// Returns the density per world unit given its logit.
     #[inline(always)]
     pub fn value<R: Real>(&self, logit: R) -> R {
         let x = logit - R::from_f64(self.shift);
@@ -41,8 +42,8 @@ impl Density {
         R::from_f64(self.scale) * density
     }
 
-    /// Derivative of the density used in training. For the exponential it is exp(clamp(x, −15, 15)) (code): the clamp
-    /// keeps the gradient of very opaque and very empty samples finite and above zero.
+    /// Returns the derivative of the density that training uses. For the exponential it is exp(clamp(x, −15, 15))
+    /// (authors' code): the clamp keeps the gradient of very opaque and very empty samples finite and above zero.
     #[inline(always)]
     pub fn derivative<R: Real>(&self, logit: R) -> R {
         let (x, limit) = (logit - R::from_f64(self.shift), R::from_f64(15.0));
@@ -66,12 +67,12 @@ pub enum Color {
 }
 
 impl Color {
-    /// The map of a configuration.
+    /// Creates the map of a configuration.
     pub fn new(config: &Config) -> Self {
         if encoders::of(config).direct() { Self::Clamped } else { Self::Sigmoid }
     }
 
-    /// Value of a channel from its logit.
+    /// Returns the value of a channel, given its logit.
     #[inline(always)]
     pub fn value<R: Real>(self, logit: R) -> R {
         match self {
@@ -80,7 +81,7 @@ impl Color {
         }
     }
 
-    /// Derivative by the logit, from the value.
+    /// Returns the derivative with respect to the logit, given the value.
     #[inline(always)]
     pub fn derivative<R: Real>(self, value: R) -> R {
         match self {
@@ -91,13 +92,13 @@ impl Color {
     }
 }
 
-/// ln(1 + exp(x)) without overflow.
+/// Computes ln(1 + exp(x)) without overflow.
 #[inline]
 pub fn softplus<R: Real>(x: R) -> R {
     x.max(R::zero()) + (-x.abs()).exp().ln_1p()
 }
 
-/// Logistic function without overflow.
+/// Computes the logistic function without overflow.
 #[inline]
 pub fn sigmoid<R: Real>(logit: R) -> R {
     let e = (-logit.abs()).exp();
@@ -105,7 +106,7 @@ pub fn sigmoid<R: Real>(logit: R) -> R {
     if logit >= R::zero() { positive } else { e * positive }
 }
 
-/// Derivative of the logistic function, from its value.
+/// Returns the derivative of the logistic function, given its value.
 #[inline]
 pub fn sigmoid_derivative<R: Real>(value: R) -> R {
     value * (R::one() - value)
@@ -115,7 +116,7 @@ pub fn sigmoid_derivative<R: Real>(value: R) -> R {
 mod tests {
     use super::*;
 
-    /// Every function, with a shift and a scale.
+    /// Returns every function, with a shift and a scale.
     fn all() -> [Density; 3] {
         let of = |kind, shift, scale| Density { kind, shift, scale };
         [

@@ -18,20 +18,20 @@ pub struct Rule<R> {
     pub share1: R,
     /// 1 − β2, rounded once: computed from β2 in f32 it would have an error of 1.3e-5.
     pub share2: R,
-    /// Added to the root of the second moment.
+    /// Number that is added to the root of the second moment.
     pub epsilon: R,
-    /// Learning rate over 1 − β1^t.
+    /// Learning rate / (1 − β1^t).
     pub rate: R,
     /// 1/sqrt(1 − β2^t).
     pub root_correction: R,
     /// 1 − learning rate · weight decay.
     pub shrink: R,
-    /// Added to the gradient with the sign of the parameter: the derivative of Σ sparsity·|parameter|.
+    /// Number that is added to the gradient with the sign of the parameter: the derivative of Σ sparsity·|parameter|.
     pub sparsity: R,
 }
 
 impl<R: Real> Rule<R> {
-    /// The rule of step `step` (counted from 1) at `learning_rate`.
+    /// Creates the rule of step `step` (counted from 1) at `learning_rate`.
     pub fn new(config: &OptimizerConfig, learning_rate: f64, step: u64) -> Self {
         let power = |beta: f64| 1.0 - beta.powf(step as f64);
         Self {
@@ -47,14 +47,14 @@ impl<R: Real> Rule<R> {
         }
     }
 
-    /// The rule of a slot at step `step`; `learning_rate` is that of the networks.
+    /// Creates the rule of a slot at step `step`; `learning_rate` is the learning rate of the networks.
     pub fn of(config: &OptimizerConfig, slot: &Slot, learning_rate: f64, step: u64) -> Self {
         let rate = learning_rate * slot.rate;
         let shrink = R::from_f64(1.0 - rate * slot.decay * config.weight_decay);
         Self { shrink, ..Self::new(config, rate, step) }
     }
 
-    /// Updates parameter and moments by `gradient`.
+    /// Updates a parameter and its moments with `gradient`.
     #[inline(always)]
     pub fn apply(&self, parameter: &mut R, m: &mut R, v: &mut R, gradient: R) {
         let gradient = gradient + self.sparsity.copysign(*parameter);
@@ -65,13 +65,13 @@ impl<R: Real> Rule<R> {
     }
 }
 
-/// Learning rate of the networks at `progress` in [0, 1].
+/// Returns the learning rate of the networks at `progress` in [0, 1].
 pub fn learning_rate(config: &Config, progress: f64) -> f64 {
     let since = encoders::of(config).restarted(config, progress).unwrap_or(0.0);
     rate_since(&config.optimizer, progress, since)
 }
 
-/// As [`learning_rate`], for an exponential schedule that restarted at `since`.
+/// Returns the same as [`learning_rate`], for an exponential schedule that restarted at `since`.
 fn rate_since(config: &OptimizerConfig, progress: f64, since: f64) -> f64 {
     config.learning_rate
         * match config.schedule {
@@ -91,7 +91,7 @@ fn rate_since(config: &OptimizerConfig, progress: f64, since: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Algorithm 2 of the paper as written, with m̂ and v̂.
+    /// Computes Algorithm 2 of the paper as written, with m̂ and v̂.
     fn written(theta: f64, gradients: &[f64], c: &OptimizerConfig, rate: f64) -> f64 {
         let (mut theta, mut m, mut v) = (theta, 0.0, 0.0);
         for (i, g) in gradients.iter().enumerate() {
@@ -123,7 +123,8 @@ mod tests {
         for step in 1..=100 {
             Rule::new(&config, 0.02, step).apply(&mut theta, &mut m, &mut v, 0.0);
         }
-        // Each step rounds to half an ulp of 0.01 in f32, 4.7e-10; the decay itself takes 2e-7.
+        // Each step has a rounding error of at most half an ulp of 0.01 in f32, 4.7e-10; the decay over all steps is
+        // 2e-7.
         assert!((f64::from(theta) - 0.01 * (1.0 - 0.02 * 1e-5_f64).powi(100)).abs() < 100.0 * 4.7e-10);
     }
 

@@ -30,7 +30,7 @@ pub struct Exact {
     resolution: u32,
     division: Division,
     background: [f64; 3],
-    /// Longest side · √3, the length that a run's steps divide.
+    /// Longest side · √3; a marching step is this length divided by the number of steps.
     diagonal: f64,
 }
 
@@ -92,8 +92,8 @@ impl Exact {
         })
     }
 
-    /// Colour of pixel (`x`, `y`) on the configured background, the mean of its cones, each marched with `steps` steps
-    /// along the diagonal.
+    /// Returns the colour of pixel (`x`, `y`) on the configured background: the mean of its cones, each marched with a
+    /// step of `diagonal` / `steps`.
     pub fn pixel(&self, camera: &Camera, x: u32, y: u32, steps: u32) -> [f64; 3] {
         let camera = Camera { origin: camera.origin - self.centre, ..*camera };
         let pattern = self.division.pattern(&camera);
@@ -102,7 +102,7 @@ impl Exact {
         cones.fold([0.0; 3], |sum, rgb| std::array::from_fn(|c| sum[c] + rgb[c] / f64::from(count)))
     }
 
-    /// Colour of one cone, its apex relative to the centre of the box.
+    /// Returns the colour of one cone, whose apex is relative to the centre of the box.
     fn cone(&self, cone: &Cone<f64>, steps: u32) -> [f64; 3] {
         let parameterisation = self.space.parameterisation(cone.origin, cone.direction);
         let (enter, leave) = parameterisation.range();
@@ -149,7 +149,7 @@ impl Exact {
         bits::is_set(&self.occupancy, cell)
     }
 
-    /// Density per world unit and colour of a sample with these features, seen along a unit direction.
+    /// Returns the density per world unit and colour of a sample with these features, seen along a unit direction.
     pub fn radiance(&self, features: &[f64], direction: [f64; 3]) -> (f64, [f64; 3]) {
         let geometry = self.density.run(features);
         (self.activation.value(geometry[0]), self.color(&view(&self.config, direction), &geometry))
@@ -167,7 +167,7 @@ impl Exact {
         [0, 1, 2].map(|c| self.color_activation.value(logits[c]))
     }
 
-    /// Features of a sample.
+    /// Returns the features of a sample.
     pub fn features(&self, at: &SamplePosition) -> Vec<f64> {
         self.encoder.features(at)
     }

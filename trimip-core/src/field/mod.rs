@@ -1,6 +1,6 @@
-//! The radiance field without a device. The registries of [`encoders`] and [`losses`] declare their members; [`networks`] states the
-//! shapes of the two networks, [`params`] the layout of all parameters, [`adamw`] their update. [`exact`] is the whole model in f64.
-//! [`model`], [`packed`] and [`tensors`] are its files.
+//! The radiance field without a device. [`encoders`] and [`losses`] are registries of declarations. [`networks`] has
+//! the shapes of the two networks, [`params`] the layout of all parameters, and [`adamw`] the update of the parameters.
+//! [`exact`] is the whole model in f64. [`model`], [`packed`] and [`tensors`] read and write the files of a model.
 
 pub mod activation;
 pub mod adamw;

@@ -1,5 +1,5 @@
-//! A finished model: the parameters by name, the occupancy grid, and the configuration they belong to. Its
-//! file is all that rendering needs.
+//! A finished model: the parameters by name, the occupancy grid, and the configuration. Rendering needs only the file
+//! of a model.
 
 pub use crate::field::tensor_names::{ASSET, OCCUPANCY};
 
@@ -20,7 +20,7 @@ const FORMAT: &str = "trimip-model-1";
 /// Assets of a scene by their names in the file.
 pub type Assets = BTreeMap<String, Tensor>;
 
-/// The assets of a model or checkpoint.
+/// Returns the assets of a model or checkpoint.
 pub fn assets(file: &TensorFile) -> Assets {
     let own = file.tensors.iter().filter(|(name, _)| name.starts_with(ASSET));
     own.map(|(name, tensor)| (name.clone(), tensor.clone())).collect()
@@ -35,14 +35,14 @@ pub struct Model {
     pub file: TensorFile,
 }
 
-/// The metadata of a model file of this format and configuration.
+/// Returns the metadata of a model file of this format and configuration.
 fn metadata(format: &str, config: &Config) -> [(&'static str, String); 3] {
     let aabb = format!("{:?} {:?}", config.scene.aabb_min, config.scene.aabb_max);
     [("format", format.into()), ("config", config.to_toml()), ("aabb", aabb)]
 }
 
 impl Model {
-    /// A model from a configuration and tensors.
+    /// Creates a model from a configuration and tensors.
     pub fn new(config: Config, mut file: TensorFile) -> Self {
         for (key, _) in metadata(FORMAT, &config) {
             file.metadata.remove(key);
@@ -50,7 +50,7 @@ impl Model {
         Self { config, file }
     }
 
-    /// The same model, rounded as in its file.
+    /// Returns the same model, rounded as its file is.
     pub fn rounded(mut self) -> Self {
         for name in in_f16(&self.config) {
             if let Some(tensor) = self.file.tensors.get_mut(&name) {
@@ -81,8 +81,9 @@ impl Model {
         file.write(path, &metadata)
     }
 
-    /// Writes the model in few bytes, rounded to 8 bits a value, without assets ([`packed`]); returns its size in bytes.
-    /// Hybrid rendering needs an asset, so the written model renders by volume. [`read`](Self::read) reads it too.
+    /// Writes the model in few bytes, rounded to 8 bits per value, without assets ([`packed`]); returns its size in
+    /// bytes. Hybrid rendering needs an asset, so the written model uses volume rendering. [`read`](Self::read) reads
+    /// it too.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -95,7 +96,7 @@ impl Model {
         packed::pack(&self.file, &names)?.write(path, &metadata(packed::FORMAT, &config))
     }
 
-    /// Hash of all tensors and settings, the same on every machine.
+    /// Returns a hash of all tensors and settings, the same on every machine.
     ///
     /// # Errors
     /// When the metadata cannot be written as JSON.
@@ -106,7 +107,8 @@ impl Model {
     /// Reads a model and checks it: its format, its settings, and every tensor's shape and numbers.
     ///
     /// # Errors
-    /// When the file cannot be read, is not a model that this build understands, or has other tensors.
+    /// When the file cannot be read, is not a model that this build understands, or has tensors that do not fit its
+    /// configuration.
     pub fn read(path: &Path) -> Result<Self> {
         Self::of(&path.display().to_string(), TensorFile::read(path)?)
     }
@@ -136,15 +138,14 @@ impl Model {
     }
 }
 
-/// Names of the tensors that a model file of this configuration holds as f16.
+/// Returns the names of the tensors that a model file of this configuration holds as f16.
 fn in_f16(config: &Config) -> impl Iterator<Item = String> + use<> {
     let slots = Layout::new(config).slots.into_iter();
     slots.filter(|slot| slot.precision == FilePrecision::F16).map(|slot| slot.name)
 }
 
-/// Refuses a file whose tensors are not those of its configuration, or hold numbers that are not finite, before anything
-/// of their stated size is allocated. `suffixes` are the suffixes of the names of tensors that have the parameters'
-/// shapes.
+/// Rejects a file whose tensors do not fit its configuration or hold numbers that are not finite, before memory of the
+/// stated sizes is allocated. `suffixes` are the suffixes of the names of tensors that have the parameters' shapes.
 pub(crate) fn expect_tensors(
     name: &str,
     file: &TensorFile,
@@ -157,7 +158,7 @@ pub(crate) fn expect_tensors(
     file.expect_finite(name)
 }
 
-/// Refuses a file of another kind or version.
+/// Rejects a file of another kind or version.
 pub(crate) fn expect_format(name: &str, file: &TensorFile, expected: &str) -> Result<()> {
     let found = file.text(name, "format")?;
     if found == expected {

@@ -1,9 +1,10 @@
-//! Shapes of the two networks of a field, and their inputs besides features: the viewing direction, and sines and
-//! cosines.
+//! Shapes of the two networks of a field, and their inputs in addition to features: the viewing direction, and sines
+//! and cosines.
 //!
-//! The density network maps an encoder's features to a logit and geometry features; the colour network maps the view and the
-//! geometry features to colour. The fields of Tri-MipRF and instant-ngp, of NeRF and mip-NeRF, and of TensoRF differ in their
-//! settings alone. A field without networks (Plenoxels) has networks without layers, whose output is their input.
+//! The density network maps an encoder's features to a logit and geometry features; the colour network maps the view
+//! and the geometry features to colour. The fields of Tri-MipRF and instant-ngp, of NeRF and mip-NeRF, and of TensoRF
+//! differ only in their settings. A field without networks (Plenoxels) has networks without layers, whose output is
+//! their input.
 
 use crate::{
     Config,
@@ -15,36 +16,38 @@ use crate::{
 /// The layers of a network.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Network {
-    /// Name of its slots: `density` or `color`.
+    /// Name of the network's slots: `density` or `color`.
     pub name: &'static str,
     /// [inputs, outputs] of each layer. There is a ReLU between layers. Without layers the output is the input.
     pub layers: Vec<[usize; 2]>,
     /// True if layers have biases.
     pub biases: bool,
-    /// The layer that also reads the network's input, after the outputs of the layer before it.
+    /// Layer with a skip connection: it reads the network's input after the outputs of the previous layer.
     pub joined: Option<usize>,
-    /// The first output is the sum of this many leading inputs, which nothing else reads: they have no weights.
+    /// Number of leading inputs whose sum is the first output. Nothing else reads these inputs, so they have no
+    /// weights.
     pub summed: usize,
 }
 
 impl Network {
-    /// The network without layers.
+    /// Creates a network without layers.
     fn none(name: &'static str) -> Self {
         Self { name, layers: Vec::new(), biases: false, joined: None, summed: 0 }
     }
 
-    /// Number of inputs; 0 without layers.
+    /// Returns the number of inputs; 0 without layers.
     pub fn inputs(&self) -> usize {
         self.layers.first().map_or(0, |[inputs, _]| *inputs)
     }
 
-    /// Shape of the weights of a layer, [inputs, outputs].
+    /// Returns the shape of the weights of a layer, [inputs, outputs].
     pub fn weights(&self, layer: usize) -> [usize; 2] {
         let [inputs, outputs] = self.layers[layer];
         if self.summed > 0 { [inputs - self.summed, outputs - 1] } else { [inputs, outputs] }
     }
 
-    /// The outputs for one input, in f64. `parameters` gives the weights [inputs, outputs] and the biases of a layer.
+    /// Computes the outputs for one input, in f64. `parameters` returns the weights [inputs, outputs] and the biases of
+    /// a layer.
     pub fn run<'a>(&self, input: &[f64], parameters: impl Fn(usize) -> (&'a [f64], &'a [f64])) -> Vec<f64> {
         let mut values = input.to_vec();
         for layer in 0..self.layers.len() {
@@ -69,7 +72,7 @@ impl Network {
     }
 }
 
-/// The density network: the encoder's features → hidden … → 1 logit and the geometry features.
+/// Returns the density network: the encoder's features → hidden … → 1 logit and the geometry features.
 pub fn density_network(config: &Config) -> Network {
     let (encoder, field) = (encoders::of(config), &config.field);
     if encoder.direct() {
@@ -85,7 +88,7 @@ pub fn density_network(config: &Config) -> Network {
     Network { name: "density", layers, biases, joined, summed: encoder.summed(config) }
 }
 
-/// The colour network: the view and the geometry features, with their sines and cosines → hidden … → 3.
+/// Returns the colour network: the view and the geometry features, with their sines and cosines → hidden … → 3.
 pub fn color_network(config: &Config) -> Network {
     let field = &config.field;
     if encoders::of(config).direct() {
@@ -104,13 +107,13 @@ fn layers(inputs: usize, hidden: usize, count: u32, outputs: usize) -> Vec<[usiz
     widths.windows(2).map(|pair| [pair[0], pair[1]]).collect()
 }
 
-/// Number of geometry features: the outputs of the density network besides the logit. Without networks they are the
-/// logits of red, green and blue.
+/// Returns the number of geometry features: the outputs of the density network other than the logit. Without networks
+/// the geometry features are the logits of red, green and blue.
 pub fn geometry(config: &Config) -> usize {
     if encoders::of(config).direct() { 3 } else { config.field.geometry as usize }
 }
 
-/// Number of inputs of the colour network from a direction; 0 if it takes none.
+/// Returns the number of inputs that the colour network gets from a direction; 0 if it takes no direction.
 pub fn view_width(config: &Config) -> usize {
     let field = &config.field;
     if encoders::of(config).direct() {
@@ -123,15 +126,15 @@ pub fn view_width(config: &Config) -> usize {
     }
 }
 
-/// Name of the slot with the weights from the direction to the first hidden layer of colour, and the number of these
-/// weights, which come first in the slot; `None` if the colour network takes no direction.
+/// Returns the name of the slot with the weights from the direction to the first hidden layer of colour, and the number
+/// of these weights, which come first in the slot; `None` if the colour network takes no direction.
 pub fn direction_weights(config: &Config) -> Option<(String, usize)> {
     let network = color_network(config);
     let (width, [_, outputs]) = (view_width(config), *network.layers.first()?);
     (width > 0).then(|| (format!("{}.0.weight", network.name), width * outputs))
 }
 
-/// Number of inputs of the colour network from the geometry features.
+/// Returns the number of inputs that the colour network gets from the geometry features.
 pub fn geometry_width(config: &Config) -> usize {
     match encoders::of(config).direct() {
         true => 0,
@@ -139,14 +142,14 @@ pub fn geometry_width(config: &Config) -> usize {
     }
 }
 
-/// Length of a row of `values` numbers with their sines and cosines at `frequencies` frequencies.
+/// Returns the length of a row of `values` numbers with their sines and cosines at `frequencies` frequencies.
 pub fn with_frequencies(values: usize, frequencies: u32) -> usize {
     values * (1 + 2 * frequencies as usize)
 }
 
-/// Appends sin(2^k x) of all values, then cos(2^k x) of all values, for each k below `frequencies` (NeRF, Eq. 4, without π).
-/// `row` begins with the values and has room for the rest.
-/// Each angle is twice the one before, so its sine and cosine are computed from those; errors double with the angle.
+/// Appends sin(2^k x) of all values, then cos(2^k x) of all values, for each k below `frequencies` (NeRF, Eq. 4,
+/// without π). `row` begins with the values and has room for the rest. Each angle is twice the previous one, so its
+/// sine and cosine are computed from the previous sine and cosine; errors double with the angle.
 #[inline]
 pub fn append_frequencies<R: Real>(row: &mut [R], values: usize, frequencies: u32) {
     for k in 0..frequencies as usize {
@@ -164,8 +167,8 @@ pub fn append_frequencies<R: Real>(row: &mut [R], values: usize, frequencies: u3
     }
 }
 
-/// Adds the gradient through the sines and cosines to the gradient of the values, which is the front of `gradient`. `row`
-/// is the output of [`append_frequencies`], and `gradient` the gradient by it.
+/// Adds the gradient that flows through the sines and cosines to the gradient of the values, at the front of
+/// `gradient`. `row` is the output of [`append_frequencies`], and `gradient` is the gradient with respect to `row`.
 #[inline]
 pub fn pull_frequencies<R: Real>(row: &[R], gradient: &mut [R], values: usize, frequencies: u32) {
     let mut factor = R::one();
@@ -180,7 +183,7 @@ pub fn pull_frequencies<R: Real>(row: &[R], gradient: &mut [R], values: usize, f
     }
 }
 
-/// The colour network's inputs from a unit direction: [`view_width`] values.
+/// Returns the colour network's inputs from a unit direction: [`view_width`] values.
 pub fn view<R: Real>(config: &Config, direction: [R; 3]) -> Vec<R> {
     let width = view_width(config);
     match config.field.view {
@@ -237,7 +240,7 @@ mod tests {
             let biases = |outputs: usize| if network.biases { outputs } else { 0 };
             layers.map(|i| network.weights(i)).map(|[k, n]| k * n + biases(n)).sum()
         };
-        // NeRF, one of its two networks, and mip-NeRF: 8 layers of 256, then 128 for colour.
+        // One of NeRF's two networks, and the network of mip-NeRF: 8 layers of 256 outputs, then one of 128 for colour.
         let mut nerf = Config::default();
         nerf.encoder.kind = EncoderKind::Frequencies;
         let field = &mut nerf.field;

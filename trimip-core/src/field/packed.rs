@@ -1,9 +1,9 @@
 //! Compact model files for transfer: `export web` writes them, and every program of the workspace reads them.
 //!
-//! A tensor that model files hold as f16 (an encoder's) is quantised to 8 bits a value, along its last axis (the channels
-//! of a texel) between the least and the greatest value of the channel. The codes are stored channel by channel, each as
-//! the difference to the one before it, which is zero for untouched texels, and are compressed (DEFLATE, RFC 1951).
-//! Network weights stay f32. Assets are left out.
+//! A tensor that model files hold as f16 (an encoder's) is quantised to 8 bits per value. Every channel (index of the
+//! last axis) has its own range, from its least to its greatest value. Codes are stored channel by channel, each as the
+//! difference to the previous code, which is zero for untouched texels. The differences are compressed (DEFLATE, RFC
+//! 1951). Network weights stay f32. Assets are left out.
 
 use crate::{
     Config, Error, Layout, Result,
@@ -21,16 +21,16 @@ pub(crate) const FORMAT: &str = "trimip-packed-1";
 /// Suffix of the tensor with the least value and the step of each channel, shape [channels, 2].
 const SCALES: &str = ".scales";
 
-/// Largest code of a channel; the least is 0.
+/// Largest code of a channel; the smallest code is 0.
 const MOST: f32 = 255.0;
 
-/// The `expected` bytes of the compressed tensor `tensor` of `file`.
+/// Decompresses the tensor `tensor` of `file` to `expected` bytes.
 fn bytes(file: &str, tensor: &str, packed: &Tensor, expected: usize) -> Result<Vec<u8>> {
     inflated(packed, expected)
         .map_err(|what| Error::input(file, format!("tensor `{tensor}` {what}"), "export the model again"))
 }
 
-/// Codes and scales of a tensor with `channels` values in a row.
+/// Returns codes and scales of a tensor with `channels` values per row.
 fn coded(values: &[f32], channels: usize) -> (Vec<u8>, Vec<f32>) {
     let (mut codes, mut scales) = (Vec::with_capacity(values.len()), Vec::with_capacity(2 * channels));
     for channel in 0..channels {
@@ -50,7 +50,7 @@ fn coded(values: &[f32], channels: usize) -> (Vec<u8>, Vec<f32>) {
     (codes, scales)
 }
 
-/// The inverse of [`coded`].
+/// Inverts [`coded`].
 fn decoded(codes: &[u8], scales: &[f32], channels: usize) -> Vec<f32> {
     let rows = codes.len() / channels;
     let mut values = vec![0.0; codes.len()];
@@ -65,10 +65,10 @@ fn decoded(codes: &[u8], scales: &[f32], channels: usize) -> Vec<f32> {
     values
 }
 
-/// The tensors of a model, packed; `coarse` names those that are quantised to 8 bits a value.
+/// Returns the tensors of a model, packed; `coarse` names the tensors that are quantised to 8 bits per value.
 ///
 /// # Errors
-/// When they cannot be compressed.
+/// When the tensors cannot be compressed.
 pub(crate) fn pack(file: &TensorFile, coarse: &[String]) -> Result<TensorFile> {
     let mut packed = TensorFile { metadata: file.metadata.clone(), ..TensorFile::default() };
     for (name, tensor) in file.tensors.iter().filter(|(name, _)| !name.starts_with(ASSET)) {
@@ -92,10 +92,10 @@ pub(crate) fn pack(file: &TensorFile, coarse: &[String]) -> Result<TensorFile> {
     Ok(packed)
 }
 
-/// The tensors of a packed file, as those of its configuration. `name` names the file in errors.
+/// Returns the tensors of a packed file in the form that its configuration declares. `name` names the file in errors.
 ///
 /// # Errors
-/// When one is missing or has a wrong number of bytes.
+/// When a tensor is missing or has a wrong number of bytes.
 pub(crate) fn unpack(name: &str, packed: &TensorFile, config: &Config) -> Result<TensorFile> {
     let mut file = TensorFile { metadata: packed.metadata.clone(), ..TensorFile::default() };
     let missing =
@@ -132,7 +132,7 @@ mod tests {
             let step = scales[2 * (i % channels) + 1];
             assert!((value - found).abs() <= 0.5001 * step, "{i}: {value} became {found}, a step is {step}");
         }
-        // The least value of a channel is exact, and so is a constant channel.
+        // The least value of a channel is exact, and so are all values of a constant channel.
         assert!(
             (0..channels).all(|c| found.iter().skip(c).step_by(channels).any(|own| *own == scales[2 * c]))
         );

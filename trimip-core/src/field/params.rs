@@ -20,31 +20,32 @@ use std::ops::Range;
 pub struct Layout {
     /// The slots.
     pub slots: Vec<Slot>,
-    /// Number of slots of the encoder; they come first.
+    /// Number of slots of the encoder, which come first.
     encoder: usize,
 }
 
-/// [inputs, outputs] of each layer of the density network.
+/// Returns [inputs, outputs] of each layer of the density network.
 pub fn density_layers(config: &Config) -> Vec<[usize; 2]> {
     density_network(config).layers
 }
 
-/// [inputs, outputs] of each layer of the colour network.
+/// Returns [inputs, outputs] of each layer of the colour network.
 pub fn color_layers(config: &Config) -> Vec<[usize; 2]> {
     color_network(config).layers
 }
 
-/// A number of the standard normal distribution (Box and Muller 1958), one of the four of `bits`.
+/// Returns a number of the standard normal distribution (Box and Muller 1958): one of the four numbers that `bits`
+/// determine.
 fn normal(bits: [u32; 4], i: usize) -> f32 {
     let pair = i % 4 / 2 * 2;
-    // Above 0, so that the logarithm is finite.
+    // Keeps the argument above 0, so that the logarithm is finite.
     let radius = (-2.0 * (1.0 - unit(bits[pair])).max(f32::MIN_POSITIVE).ln()).sqrt();
     let angle = std::f32::consts::TAU * unit(bits[pair + 1]);
     radius * if i.is_multiple_of(2) { angle.cos() } else { angle.sin() }
 }
 
 impl Layout {
-    /// The slots of a configuration.
+    /// Creates the layout of a configuration.
     pub fn new(config: &Config) -> Self {
         let mut slots = encoders::of(config).slots(config);
         let encoder = slots.len();
@@ -62,38 +63,40 @@ impl Layout {
         Self { slots: in_sequence(slots), encoder }
     }
 
-    /// The layout of these slots, one after the other.
+    /// Creates the layout of these slots, one after the other.
     pub fn of(slots: impl IntoIterator<Item = Slot>) -> Self {
         Self { slots: in_sequence(slots), encoder: 0 }
     }
 
-    /// Number of floats, including the padding.
+    /// Returns the number of floats, including the padding.
     pub fn len(&self) -> usize {
         self.slots.last().map_or(0, |slot| slot.padded().end)
     }
 
-    /// The encoder's slots.
+    /// Returns the encoder's slots.
     pub fn encoder(&self) -> &[Slot] {
         &self.slots[..self.encoder]
     }
 
-    /// The slots of both networks.
+    /// Returns the slots of both networks.
     pub fn networks(&self) -> &[Slot] {
         &self.slots[self.encoder..]
     }
 
-    /// True if there are no slots.
+    /// Returns true if there are no slots.
     pub fn is_empty(&self) -> bool {
         self.slots.is_empty()
     }
 
-    /// Slots of one network (`density` or `color`), first layer first: its weights, then its biases if it has any.
+    /// Returns the slots of one network (`density` or `color`), layer by layer: the weights of a layer, then its biases
+    /// if it has any.
     pub fn network(&self, name: &str) -> impl Iterator<Item = &Slot> {
         let prefix = format!("{name}.");
         self.slots.iter().filter(move |slot| slot.name.starts_with(&prefix))
     }
 
-    /// Initial values, uniform within each slot's bound, or normal. With `field.direction_delay` the weights of the direction are 0.
+    /// Returns the initial values, uniform within each slot's bound, or normal. With `field.direction_delay` the
+    /// weights of the view direction are 0.
     pub fn initial(&self, config: &Config) -> Vec<f32> {
         let random = Random::new(config.seed);
         let mut values = vec![0.0; self.len()];
@@ -112,7 +115,8 @@ impl Layout {
         values
     }
 
-    /// Range of the weights from the viewing direction to the first hidden layer of colour; `None` if there are none.
+    /// Returns the range of the weights from the viewing direction to the first hidden layer of colour; `None` if there
+    /// are none.
     pub fn direction_weights(&self, config: &Config) -> Option<Range<usize>> {
         let (name, count) = direction_weights(config)?;
         let slot = self.slots.iter().find(|slot| slot.name == name)?;
@@ -141,7 +145,8 @@ impl Layout {
         Ok(values)
     }
 
-    /// Refuses tensors that are not those of the slots, before anything is allocated for them.
+    /// Rejects a file in which a slot's tensor is missing or has the wrong shape, before memory is allocated for the
+    /// values.
     ///
     /// # Errors
     /// As [`from_tensors`](Self::from_tensors).

@@ -33,7 +33,7 @@ pub struct Slot {
 }
 
 impl Slot {
-    /// A dense slot with the networks' rate and decay, stored as f32, that does not grow.
+    /// Creates a dense slot that has the learning rate and decay of the networks, is stored as f32 and does not grow.
     pub fn new(name: impl Into<String>, shape: Vec<usize>, bound: f32) -> Self {
         let range = 0..shape.iter().product::<usize>();
         Self {
@@ -50,13 +50,13 @@ impl Slot {
         }
     }
 
-    /// The slot's range, including the padding after it.
+    /// Returns the slot's range, including the padding after it.
     pub fn padded(&self) -> Range<usize> {
         self.range.start..self.range.end.next_multiple_of(ALIGNMENT)
     }
 }
 
-/// Places the slots one after the other in a flat array: each begins after the padding of the one before.
+/// Places the slots one after the other in a flat array: each begins after the padding of the previous slot.
 pub fn in_sequence(slots: impl IntoIterator<Item = Slot>) -> Vec<Slot> {
     let mut start = 0;
     let placed = slots.into_iter().map(|mut slot| {
@@ -77,7 +77,7 @@ pub struct ActiveRange {
 }
 
 impl ActiveRange {
-    /// A whole slot, including the padding after it.
+    /// Returns the range of a whole slot, including the padding after it.
     pub fn whole(slot: &Slot) -> Self {
         Self { range: slot.padded(), sparsity: 0.0 }
     }

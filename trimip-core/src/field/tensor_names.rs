@@ -1,7 +1,7 @@
 //! Names of the tensors in model and checkpoint files that are not slots of parameters. [`crate::field::params::Layout`]
 //! has the names of the slots.
 
-/// The occupancy grid: one bit per cell, cell order, lowest bit first.
+/// The occupancy grid: one bit per cell, in cell order, lowest bit first.
 pub const OCCUPANCY: &str = "occupancy";
 
 /// The running maximum of the densities of the occupancy grid's cells, in checkpoints.

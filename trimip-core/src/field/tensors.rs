@@ -9,11 +9,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
 
-/// Metadata key of the file format that holds our metadata as one JSON object. The format's own keys have no order, and
-/// the same run must write the same file.
+/// Key of the file format's metadata whose value holds all of our metadata as one JSON object. We use one key because
+/// the format's keys have no order, and the same run must write the same file.
 const METADATA: &str = "trimip";
 
-/// Size in bytes of the header's length, which precedes the header. The header is padded to a multiple of this size.
+/// Size in bytes of the field for the header's length, which precedes the header. The header is padded to a multiple of
+/// this size.
 const LENGTH: usize = size_of::<u64>();
 
 /// Values of a tensor.
@@ -33,29 +34,29 @@ pub enum Values {
 pub struct Tensor {
     /// Extent of each axis.
     pub shape: Vec<usize>,
-    /// The values, as many as the product of `shape`.
+    /// The values; their number is the product of `shape`.
     pub values: Values,
 }
 
 impl Tensor {
-    /// A tensor of floats.
+    /// Creates a tensor of floats.
     pub fn f32(shape: &[usize], values: Vec<f32>) -> Self {
         debug_assert_eq!(shape.iter().product::<usize>(), values.len());
         Self { shape: shape.to_vec(), values: Values::F32(values) }
     }
 
-    /// A tensor of bytes.
+    /// Creates a tensor of bytes.
     pub fn u8(shape: &[usize], values: Vec<u8>) -> Self {
         debug_assert_eq!(shape.iter().product::<usize>(), values.len());
         Self { shape: shape.to_vec(), values: Values::U8(values) }
     }
 
-    /// Bytes of the values.
+    /// Returns the size of the values in bytes.
     pub fn size(&self) -> usize {
         self.bytes().0.len()
     }
 
-    /// The values rounded to f16, or unchanged if one of them would become infinite.
+    /// Returns the tensor with its values rounded to f16, or unchanged if a value would become infinite.
     pub fn to_f16(&self) -> Self {
         match &self.values {
             Values::F32(values) if values.iter().all(|value| value.abs() < 65_504.0) => {
@@ -66,14 +67,14 @@ impl Tensor {
         }
     }
 
-    /// Turns f16 into f32 in place.
+    /// Converts f16 values to f32 in place.
     pub fn widen(&mut self) {
         if let Values::F16(values) = &self.values {
             self.values = Values::F32(values.iter().map(|value| value.to_f32()).collect());
         }
     }
 
-    /// Index and value of the first number that is not finite.
+    /// Returns index and value of the first number that is not finite.
     pub fn not_finite(&self) -> Option<(usize, f32)> {
         match &self.values {
             Values::F32(values) => {
@@ -106,7 +107,7 @@ pub struct TensorFile {
 }
 
 impl TensorFile {
-    /// The tensor `name` as floats of the given shape. Errors name the tensor and its file, `file`.
+    /// Returns the tensor `name` as floats of the given shape. Errors name the tensor and its file, `file`.
     ///
     /// # Errors
     /// When there is no such tensor, or it has another type or shape.
@@ -117,7 +118,7 @@ impl TensorFile {
         }
     }
 
-    /// The tensor `name` as bytes of the given shape.
+    /// Returns the tensor `name` as bytes of the given shape.
     ///
     /// # Errors
     /// When there is no such tensor, or it has another type or shape.
@@ -128,10 +129,10 @@ impl TensorFile {
         }
     }
 
-    /// Refuses a file with a number that is not finite; the error names its tensor and index.
+    /// Rejects a file with a number that is not finite; the error names the tensor and the index of that number.
     ///
     /// # Errors
-    /// When there is one.
+    /// When there is such a number.
     pub fn expect_finite(&self, file: &str) -> Result<()> {
         for (name, tensor) in &self.tensors {
             if let Some((index, value)) = tensor.not_finite() {
@@ -145,7 +146,7 @@ impl TensorFile {
         Ok(())
     }
 
-    /// The metadata under `key`.
+    /// Returns the metadata under `key`.
     ///
     /// # Errors
     /// When there is no such entry.
@@ -169,7 +170,7 @@ impl TensorFile {
         })
     }
 
-    /// The bytes of the file that [`write`](Self::write) writes.
+    /// Returns the bytes of the file that [`write`](Self::write) writes.
     ///
     /// # Errors
     /// When the metadata cannot be written as JSON.
@@ -202,7 +203,7 @@ impl TensorFile {
         write(&parts)
     }
 
-    /// Parses the bytes of a file; `file` is used in errors.
+    /// Parses the bytes of a file; `file` names the file in errors.
     ///
     /// # Errors
     /// When the bytes are not a safetensors file of known types.
@@ -277,7 +278,7 @@ mod tests {
         file
     }
 
-    /// The bytes of the sample's file.
+    /// Returns the bytes of the sample's file.
     fn bytes() -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("sample.safetensors");

@@ -1,7 +1,7 @@
-//! Test views of a run that refines poses: each is aligned with the finished model on the left half of its picture and
-//! measured on the right half. A model trained with refined poses has the frame that training found, and the given poses
-//! of test views are as rough as those of the training views were. An aligned view has the refined intrinsics of its
-//! camera.
+//! Alignment of test views, for a run that refines poses. Each view is aligned with the finished model on the left half
+//! of its picture and measured on the right half. Alignment is necessary because a model trained with refined poses
+//! lies in the coordinate frame that training found, and because the given poses of test views are as rough as those of
+//! the training views were. An aligned view has the refined intrinsics of its camera.
 
 use super::evaluate::{TestFrames, compared};
 use crate::{
@@ -13,10 +13,10 @@ use crate::{
     measures::{metrics::psnr, quality::capped},
 };
 
-/// Largest number of test views that are aligned; they are evenly spread.
+/// Largest number of test views that are aligned; they are spread evenly over the test set.
 const VIEWS: usize = 8;
 
-/// Largest number of pixels of an aligned view, if a test frame has a scale that coarse.
+/// Largest number of pixels of an aligned view, if the test frame has such a coarse scale.
 const PIXELS: u64 = 1 << 18;
 
 /// Aligns test views with the model of `session` and measures them; `None` without test views. `refined` has the given
@@ -57,14 +57,16 @@ pub fn measure(
     Ok(Some(Aligned { views: frames.len(), given, aligned }))
 }
 
-/// The change of the intrinsics of the camera that took a frame; zero if this camera took no training photograph.
+/// Returns the change of the intrinsics of the camera that took a frame; zero if this camera took no training
+/// photograph.
 fn change_of(frame: &ViewSet, refined: &[(Intrinsics, Change)]) -> Change {
     let finest = frame.views.first().map(|view| view.camera.intrinsics);
     let camera = refined.iter().find(|(given, _)| Some(*given) == finest);
     camera.map_or_else(Change::default, |(_, change)| *change)
 }
 
-/// The scale at which a frame is aligned: the finest one of at most [`PIXELS`] pixels, or else the coarsest.
+/// Returns the scale at which a frame is aligned: the finest scale with at most [`PIXELS`] pixels, or the coarsest
+/// scale if none is that small.
 fn shown(frame: &ViewSet) -> usize {
     let few = |scale: &Scale| scale.pixels.len() as u64 <= PIXELS;
     frame.scales.iter().position(few).unwrap_or(frame.scales.len() - 1)
@@ -76,7 +78,7 @@ enum Half {
     Right,
 }
 
-/// The halves of one view of each frame, as photographs of their own.
+/// Returns the left or right halves of one view of each frame, as photographs of their own.
 fn halves(frames: &[ViewSet], half: Half) -> ViewSet {
     let alpha = frames[0].alpha;
     let mut set =
@@ -110,14 +112,14 @@ mod tests {
     };
     use glam::DVec3;
 
-    /// Shows the direction of each ray as a colour.
+    /// Returns a picture whose colours show the direction of each ray.
     fn picture(camera: &Camera) -> Vec<[f32; 3]> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let colour = |i: u32| camera.cone::<f32>(i % width, i / width).direction.map(|x| 0.5 + 0.5 * x);
         (0..width * height).map(colour).collect()
     }
 
-    /// A session that is given the camera of the photographs.
+    /// A session that aligns every view to the given camera of the photographs.
     struct Knowing(Camera);
 
     impl Viewer for Knowing {

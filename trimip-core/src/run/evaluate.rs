@@ -19,13 +19,13 @@ pub struct ViewResult<'a> {
     pub name: &'a str,
     /// Reduction of the view: 1, 2, 4, 8.
     pub scale: u32,
-    /// The camera that it was rendered with.
+    /// The camera with which the view was rendered.
     pub camera: &'a Camera,
     /// The rendered view, with silhouettes as the set's photographs show them.
     pub rendered: &'a Frame,
     /// The photograph on the same background.
     pub target: &'a [[f32; 3]],
-    /// PSNR, dB.
+    /// PSNR, in dB.
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
@@ -33,27 +33,28 @@ pub struct ViewResult<'a> {
     pub perceptual: &'a PerceptualScores,
 }
 
-/// The background that makes transparency most visible: per channel, black if the colour is bright and white if it is dark.
+/// Returns the background that makes transparency most visible: per channel, black if the colour is bright and white if
+/// it is dark.
 pub fn opposite(background: [f32; 3]) -> [f32; 3] {
     background.map(|channel| if channel < 0.5 { 1.0 } else { 0.0 })
 }
 
-/// Callbacks of an evaluation. A callback that returns false stops it.
+/// Callbacks of an evaluation. A callback that returns false stops the evaluation.
 pub trait Watch {
-    /// `rows` of the `of` rows of a frame, over all its scales, are rendered.
+    /// Called when `rows` of the `of` rows of a frame, over all of its scales, are rendered.
     fn rows(&mut self, rows: u32, of: u32) -> bool {
         let _ = (rows, of);
         true
     }
-    /// Measures of perception of a view of frame `index`; none by default.
+    /// Returns the measures of perception of a view of frame `index`; none by default.
     ///
     /// # Errors
-    /// When one cannot be computed.
+    /// When a measure cannot be computed.
     fn measure_perception(&mut self, index: usize, pair: &Pair<'_>) -> Result<PerceptualScores> {
         let _ = (index, pair);
         Ok(PerceptualScores::NOTHING)
     }
-    /// A view was rendered and measured.
+    /// Called when a view was rendered and measured.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool>;
 }
 
@@ -73,11 +74,12 @@ pub struct TestFrames<'a> {
     pub frames: &'a dyn Frames,
     /// The background, and the convention of the photographs.
     pub data: &'a PhotographsConfig,
-    /// The finest scale that is compared: 1, 2, 4, ... A frame without so coarse a scale is compared at its coarsest.
+    /// The finest scale that is compared: 1, 2, 4, ... A frame that has no scale as coarse as this is compared at its
+    /// coarsest scale.
     pub finest: u32,
 }
 
-/// Renders every `stride`-th frame at every scale, on the background and by the convention of `data`; `on_view` receives
+/// Renders every `stride`-th frame at every scale, with the background and the convention of `data`; `on_view` receives
 /// each result and returns false to stop early.
 ///
 /// # Errors
@@ -99,9 +101,10 @@ pub fn evaluate(
     Ok(qualities)
 }
 
-/// Renders frame `index` at its scales from the finest that is compared on, and adds their measures to `qualities`.
-/// Pixels for which the lens has no ray are not compared, nor those of which a mask keeps less than half; a view without
-/// other pixels is skipped. Returns false if `watch` stopped it; a view whose rendering was stopped is not included.
+/// Renders frame `index` at the scale `test.finest` and all coarser scales, and adds the measures to `qualities`. The
+/// comparison leaves out pixels for which the lens has no ray and pixels of which a mask keeps less than half; a view
+/// in which all pixels are left out is skipped. Returns false if `watch` stopped the evaluation; a view whose rendering
+/// was stopped is not included.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or `watch` fails.
@@ -140,7 +143,7 @@ pub fn evaluate_frame(
         let psnr_box = {
             let truth =
                 set.box_filtered(set.scales[0].views.start, factor / set.scales[0].factor, background);
-            // The photographs of a multi-scale set may be smaller or larger than blocks of the finest ones.
+            // The photographs of a multi-scale set may be smaller or larger than the box-filtered finest photographs.
             if truth.len() == target.len() {
                 capped(psnr(&seen(rendered.rgb()), &seen(truth)))
             } else {
@@ -203,13 +206,13 @@ pub fn evaluate_frame(
     Ok(true)
 }
 
-/// Returns the compared colours of `rgb`, a picture of view `view`: those of all pixels except the ones for which the
-/// lens has no ray, and those of which a mask keeps less than half.
+/// Returns the compared colours of `rgb`, a picture of view `view`: those of all pixels, except pixels for which the
+/// lens has no ray and pixels of which a mask keeps less than half.
 pub fn compared(set: &ViewSet, view: usize, rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     without(&excluded(set, view), rgb)
 }
 
-/// Whether each pixel is left out of the comparison; empty if none is.
+/// Returns for each pixel whether the comparison leaves it out; empty if no pixel is left out.
 fn excluded(set: &ViewSet, view: usize) -> Vec<bool> {
     let (camera, pixels) = (&set.views[view].camera, set.pixels_of(view));
     let k = &camera.intrinsics;
@@ -221,14 +224,15 @@ fn excluded(set: &ViewSet, view: usize) -> Vec<bool> {
     (0..).zip(pixels).map(|(i, &pixel)| set.alpha.leaves_out(pixel) || unseen(i)).collect()
 }
 
-/// Removes the values of `excluded` pixels; there is one value per pixel.
+/// Removes the values of `excluded` pixels; `values` has one value per pixel.
 fn without<T>(excluded: &[bool], mut values: Vec<T>) -> Vec<T> {
     let mut flags = excluded.iter();
     values.retain(|_| !flags.next().copied().unwrap_or(false));
     values
 }
 
-/// The part of a photograph's colours that comes from the background behind its transparent part: RGB of each pixel.
+/// Returns the part (RGB of each pixel) of a photograph's colours that comes from the background behind its transparent
+/// part.
 fn photographed_background(set: &ViewSet, view: usize, background: [f32; 3]) -> Vec<[f32; 3]> {
     let clear = |&pixel: &[u8; 4]| 1.0 - set.alpha.opacity(pixel);
     set.pixels_of(view).iter().map(|pixel| background.map(|channel| clear(pixel) * channel)).collect()

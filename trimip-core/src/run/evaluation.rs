@@ -19,19 +19,21 @@ use web_time::{Duration, Instant};
 /// Interval between two progress events of an evaluation.
 const TELL_EVERY: Duration = Duration::from_millis(500);
 
-/// Multiple of its allowed time after which an evaluation ends with the views measured so far: predictions may be wrong.
+/// An evaluation ends after this multiple of its allowed time, because predictions may be wrong. The result then has
+/// the views of the strides that were completed.
 const AT_MOST: f64 = 4.0;
 
-/// Multiple of its allowed time that the final evaluation takes for a whole view before it leaves out full size.
+/// The final evaluation spends up to this multiple of its allowed time on one whole view before it leaves out full
+/// size.
 const FULL_SIZE: f64 = 2.0;
 
-/// Up to this progress, an evaluation covers at least half of the curve's views or is skipped.
+/// Up to this progress, an evaluation covers at least half of the views of the evaluation curve, or is skipped.
 const EARLY: f64 = 0.3;
 
 /// The extent of an evaluation.
 struct Coverage {
     views: Vec<ViewQuality>,
-    /// Stride: every n-th test view was measured.
+    /// Stride: every `stride`-th test view was measured.
     stride: usize,
     /// True if finer scales were left out.
     coarse: bool,
@@ -44,7 +46,7 @@ struct Moment<'a> {
     totals: &'a Totals,
     /// True for the evaluation at the end of the run.
     last: bool,
-    /// Its start.
+    /// Start of the evaluation.
     started: Instant,
 }
 
@@ -52,7 +54,7 @@ struct Moment<'a> {
 enum Attempt {
     /// Views were measured.
     Measured(Coverage),
-    /// There was no time for a single view, even with the scales finer than this factor left out.
+    /// There was no time for a single view, even without the scales finer than this factor.
     NoTime(u32),
     /// The run was asked to stop.
     Stopped,
@@ -67,8 +69,8 @@ impl Run<'_> {
         let allowed = keeper.on_the_way(totals.seconds / self.progress(totals).max(f64::MIN_POSITIVE));
         let mut chain = strides(frames, stride, stride);
         if self.progress(totals) < EARLY {
-            // Early in a run the scene is fog, which renders slowly. A missing point is better than a point measured on
-            // other views than the later ones.
+            // Early in a run the scene is fog, which renders slowly. A missing point of the curve is better than a
+            // point measured on other views than the later points.
             let few = chain.len().saturating_sub(2);
             chain.drain(..few);
         }
@@ -128,20 +130,21 @@ impl Run<'_> {
         Ok(Outcome::Finished)
     }
 
-    /// Mean number of pixels of a test frame, over all scales.
+    /// Returns the mean number of pixels of a test frame, all of its scales together.
     pub(super) fn pixels_of_a_view(&self) -> f64 {
         let area = |k: &crate::Intrinsics| f64::from(k.width) * f64::from(k.height);
         let pixels: f64 = self.frames.cameras().iter().map(|camera| area(&camera.intrinsics)).sum();
         pixels / self.frames.len().max(1) as f64
     }
 
-    /// The largest factor by which test views are reduced.
+    /// Returns the largest factor by which test views are reduced.
     fn coarsest(&self) -> u32 {
         1 << (self.config.data.scales - 1)
     }
 
     /// Measures every n-th view, where n is the finest of `strides` that fits into `allowed` seconds. If the time is
-    /// too short for one whole view, measures coarse scales only; the final evaluation takes more time for full size.
+    /// too short for one whole view, measures only coarse scales; the final evaluation accepts a longer time before it
+    /// leaves out full size.
     fn measure_views(
         &mut self,
         strides: &[usize],
@@ -209,7 +212,7 @@ impl Run<'_> {
         Ok(coverage.map_or(Attempt::NoTime(finest), Attempt::Measured))
     }
 
-    /// Emits the results of an evaluation by every `stride`-th view; `wanted` is the requested stride.
+    /// Emits the results of an evaluation over every `stride`-th view; `wanted` is the requested stride.
     fn report(&mut self, coverage: &Coverage, [stride, wanted]: [usize; 2], moment: Moment<'_>) -> Measures {
         let Moment { totals, last, started } = moment;
         let scales = per_scale(&coverage.views, stride);
@@ -231,7 +234,8 @@ impl Run<'_> {
 
 /// Reports the progress of an evaluation, and ends the evaluation on request or when it takes too long.
 struct Watcher<'a> {
-    /// The measures of perception, and the stride of their views: those whose index is a multiple of it.
+    /// The measures of perception, and the stride of the views that get them: views whose index is a multiple of this
+    /// stride.
     perception: Option<(&'a mut dyn Perception, usize)>,
     store: Option<&'a mut dyn Store>,
     events: &'a mut dyn EventSink,
@@ -275,8 +279,9 @@ impl Watch for Watcher<'_> {
     }
 }
 
-/// The finest of `strides` by which at most `most` of `frames` views have measures of perception; `None` if there is
-/// none. An evaluation without time for finer strides then has measured all or an evenly spread part of its views.
+/// Returns the finest of `strides` that selects at most `most` of `frames` views for the measures of perception, or
+/// `None` if no stride is so coarse. The strides are multiples of each other, so an evaluation without time for finer
+/// strides has these measures for all of its views or for an evenly spread part of them.
 fn perceptual_stride(strides: &[usize], frames: usize, most: usize) -> Option<usize> {
     strides.iter().copied().filter(|stride| frames.div_ceil(*stride) <= most).min()
 }

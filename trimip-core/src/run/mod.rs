@@ -24,7 +24,7 @@ use crate::{
 use std::sync::atomic::{AtomicBool, Ordering};
 use web_time::Instant;
 
-/// Steps after which a run that has kept no sample fails: nothing will ever become visible.
+/// A run that has kept no sample after this number of steps fails, because nothing will ever become visible.
 const BLIND_STEPS: u64 = 64;
 
 /// The place where a run stores its results.
@@ -39,10 +39,10 @@ pub trait Store {
     /// # Errors
     /// When the model cannot be stored.
     fn model(&mut self, model: &Model) -> Result<u64>;
-    /// Stores names and cameras of the training photographs as training has refined them; does nothing by default.
+    /// Stores names and cameras of the training photographs as refined by training; does nothing by default.
     ///
     /// # Errors
-    /// When they cannot be stored.
+    /// When the cameras cannot be stored.
     fn cameras(&mut self, cameras: &[(String, Camera)]) -> Result<()> {
         let _ = cameras;
         Ok(())
@@ -52,8 +52,8 @@ pub trait Store {
     /// # Errors
     /// When the view cannot be stored.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<()>;
-    /// Called when all views of the final evaluation were received, and before the event of its result: an announced
-    /// result has its views stored.
+    /// Called after all views of the final evaluation were received and before the event of its result, so that the
+    /// views of an announced result are stored.
     ///
     /// # Errors
     /// When the views cannot be stored.
@@ -62,8 +62,9 @@ pub trait Store {
 
 /// An observer of a run in progress.
 pub trait Observer {
-    /// Called between two steps. Its time does not count as training, so an observer pauses the run by waiting here. If
-    /// it returns true, [`model`](Self::model) receives the current model, and this function is called again.
+    /// Called between two steps. The time of the call does not count as training, so an observer pauses the run by
+    /// waiting here. If it returns true, [`model`](Self::model) receives the current model, and this function is called
+    /// again.
     fn between(&mut self, totals: &Totals) -> bool {
         let _ = totals;
         false
@@ -101,12 +102,13 @@ pub struct Run<'a> {
     pub store: &'a mut dyn Store,
     /// Receives the events.
     pub events: &'a mut dyn EventSink,
-    /// Looks at the model between steps.
+    /// Observes the model between steps.
     pub observer: &'a mut dyn Observer,
     /// Set by another thread to stop the run after the current step.
     pub stop: &'a AtomicBool,
-    /// Counters at the last evaluation of an earlier part of the run; zero if there is none. Points of the curve between
-    /// it and the beginning of this part were missed; one evaluation at the beginning makes up for them.
+    /// Counters at the last evaluation of an earlier part of the run; zero if there is none. The points of the curve
+    /// between that evaluation and the beginning of this part were missed; one evaluation at the beginning replaces
+    /// them.
     pub evaluated: Totals,
 }
 
@@ -119,7 +121,7 @@ impl Run<'_> {
         self.train_until(totals, u64::MAX)
     }
 
-    /// As [`Run::train`], but stops as if asked to after step `last_step`, unless the schedule ends there.
+    /// Trains as [`Run::train`] does, but stops after step `last_step` as if asked to, unless the schedule ends there.
     ///
     /// # Errors
     /// As [`Run::train`].
@@ -139,7 +141,7 @@ impl Run<'_> {
         outcome
     }
 
-    /// As [`Run::train_until`]; `kept` is the step of the last checkpoint.
+    /// Does the work of [`Run::train_until`]; `kept` is the step of the last checkpoint.
     fn steps(&mut self, mut totals: Totals, last_step: u64, kept: &mut Option<u64>) -> Result<Outcome> {
         let mut points = evaluation_points(self.config.eval.points);
         points.retain(|&point| point > self.progress(&self.evaluated));
@@ -192,8 +194,8 @@ impl Run<'_> {
         let checkpoint = self.checkpoint(&totals, *kept)?;
         let stored = self.store(&checkpoint, kept);
         drop(checkpoint);
-        // If the checkpoint could not be stored, the run has to be repeated from the last one, but its model is still
-        // written.
+        // If the checkpoint could not be stored, the run can resume only from the previous checkpoint, but the model is
+        // still written.
         let model = self.session.finish()?;
         self.store.model(&model).map_err(|error| stored.clone().err().unwrap_or(error))?;
         self.tell_poses()?;
@@ -217,8 +219,8 @@ impl Run<'_> {
         progress(self.config, totals)
     }
 
-    /// Emits a warning for each setting that the device cannot honour and that is not yet in `told`; returns all of
-    /// them.
+    /// Emits a warning for each setting that the device cannot honour and that is not yet in `told`. Returns the texts
+    /// for all such settings.
     fn tell(&mut self, told: Vec<String>) -> Vec<String> {
         let notes = self.session.notes();
         for message in notes.iter().filter(|note| !told.contains(note)) {
@@ -260,8 +262,8 @@ impl Run<'_> {
         self.store(&checkpoint, kept)
     }
 
-    /// As [`save`](Self::save), but a checkpoint that cannot be stored is a warning: the disk may have room for the next
-    /// one.
+    /// Saves as [`save`](Self::save) does, but only warns if the checkpoint cannot be stored, because the disk may have
+    /// room for the next one.
     fn save_on_the_way(&mut self, totals: &Totals, kept: &mut Option<u64>) -> Result<()> {
         let checkpoint = self.checkpoint(totals, *kept)?;
         if let Err(error) = self.store(&checkpoint, kept) {
@@ -274,10 +276,10 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// The checkpoint of the current state.
+    /// Creates the checkpoint of the current state.
     ///
     /// # Errors
-    /// When a value in it is not finite. The last good checkpoint, of step `kept`, is then not overwritten.
+    /// When a value in the checkpoint is not finite. The last good checkpoint, of step `kept`, is then not overwritten.
     fn checkpoint(&mut self, totals: &Totals, kept: Option<u64>) -> Result<Checkpoint> {
         let mut checkpoint = self.session.checkpoint()?;
         checkpoint.state.totals.seconds = totals.seconds;
@@ -294,7 +296,7 @@ impl Run<'_> {
     /// Stores a checkpoint, and records its step in `kept`.
     ///
     /// # Errors
-    /// When the store has no room for it.
+    /// When the checkpoint cannot be stored.
     fn store(&mut self, checkpoint: &Checkpoint, kept: &mut Option<u64>) -> Result<()> {
         let bytes = self.store.checkpoint(checkpoint)?;
         let step = checkpoint.state.totals.step;
@@ -321,7 +323,7 @@ fn remaining(kept: Option<u64>) -> String {
     })
 }
 
-/// The error of a run whose rays hit nothing.
+/// Returns the error of a run whose rays hit nothing.
 fn blind(totals: &Totals) -> Error {
     Error::run(format!(
         "{} steps of {} rays kept no sample: no ray hits anything in the box from scene.aabb_min to scene.aabb_max; set them to \
@@ -330,7 +332,8 @@ fn blind(totals: &Totals) -> Error {
     ))
 }
 
-/// Progress at which a run is evaluated: `count` points, evenly spaced in the logarithm, from 1/32 (excluded) to 1.
+/// Returns the progress values at which a run is evaluated: `count` points, evenly spaced in the logarithm, from 1/32
+/// (excluded) to 1.
 pub fn evaluation_points(count: u32) -> Vec<f64> {
     (0..count).map(|i| 32_f64.powf(f64::from(i + 1) / f64::from(count) - 1.0)).collect()
 }

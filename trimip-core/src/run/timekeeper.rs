@@ -1,16 +1,16 @@
-//! Limits the time of evaluations to a share of the training time. The time per pixel is predicted from the current
+//! Limits the time of evaluations to a fraction of the training time. The time per pixel is predicted from the current
 //! time per training ray and from the last evaluation. The number of views is decided while they are rendered.
 
 use std::cmp::Reverse;
 
-/// Fraction of the evaluations' share for those during training; the final evaluation gets the rest.
+/// Fraction of the time for evaluations that evaluations during training may use; the final evaluation gets the rest.
 const ON_THE_WAY: f64 = 0.6;
 
 /// Extra seconds for the final evaluation, so that short runs are measured too.
 const AT_THE_END: f64 = 20.0;
 
-/// Time of a rendered pixel relative to a training ray, assumed before the first measurement: rendering is one of
-/// training's three passes.
+/// Time of a rendered pixel relative to that of a training ray, assumed before the first measurement: rendering is one
+/// of the three passes of training.
 const FORWARD: f64 = 0.5;
 
 /// Limits the time that a run spends on evaluations.
@@ -65,14 +65,15 @@ impl Timekeeper {
         self.covered.push(stride);
     }
 
-    /// The stride of most evaluations during training, the finer of two; `wanted` if there was none.
+    /// Returns the stride of most evaluations during training (of two equally frequent strides, the finer one), or
+    /// `wanted` if there was no evaluation.
     pub fn usual_stride(&self, wanted: usize) -> usize {
         let times = |stride: usize| self.covered.iter().filter(|other| **other == stride).count();
         let usual = self.covered.iter().copied().max_by_key(|&stride| (times(stride), Reverse(stride)));
         usual.unwrap_or(wanted)
     }
 
-    /// Predicted seconds per pixel.
+    /// Returns the predicted seconds per pixel.
     pub fn pixel(&self) -> f64 {
         match self.measured {
             Some([pixel, ray]) if ray > 0.0 => pixel * self.ray / ray,
@@ -81,7 +82,8 @@ impl Timekeeper {
         }
     }
 
-    /// The factor, from 1 to `coarsest`, by which a view of `pixels` pixels must be reduced to be rendered within `allowed` seconds.
+    /// Returns the factor, from 1 to `coarsest`, by which a view of `pixels` pixels must be reduced to be rendered
+    /// within `allowed` seconds.
     pub fn finest(&self, pixels: f64, allowed: f64, coarsest: u32) -> u32 {
         let (mut finest, mut seconds) = (1, self.pixel() * pixels);
         while seconds > allowed && finest < coarsest {
@@ -90,20 +92,20 @@ impl Timekeeper {
         finest
     }
 
-    /// Seconds for the next evaluation during a run of `total` seconds of training: its part of the share, plus the time
-    /// that earlier evaluations left unused.
+    /// Returns the seconds for the next evaluation during a run of `total` seconds of training: an equal part of the
+    /// time for evaluations during training, plus the time that earlier evaluations left unused.
     pub fn on_the_way(&mut self, total: f64) -> f64 {
         self.passed += 1.0;
         self.bounded(ON_THE_WAY * self.fraction * total * self.passed / self.points - self.spent)
     }
 
-    /// Seconds for the final evaluation.
+    /// Returns the seconds for the final evaluation.
     pub fn at_the_end(&self, total: f64) -> f64 {
         self.bounded((1.0 - ON_THE_WAY) * self.fraction * total + AT_THE_END)
     }
 
-    /// Predicted seconds of the remaining evaluations in a run of `total` seconds. All views of the test set have
-    /// `pixels` pixels, and an evaluation during training covers the fraction `part` of them.
+    /// Returns the predicted seconds of the remaining evaluations in a run of `total` seconds. `pixels` is the number
+    /// of pixels of all test views together, and an evaluation during training covers the fraction `part` of them.
     pub fn left(&self, total: f64, pixels: f64, part: f64) -> f64 {
         let whole = self.pixel() * pixels;
         let each = (part * whole).min(self.bounded(ON_THE_WAY * self.fraction * total / self.points));
@@ -116,14 +118,15 @@ impl Timekeeper {
     }
 }
 
-/// Strides over `frames` views, from few views to every `wanted`-th; each stride is a multiple of the next. An
-/// evaluation that has to end early thus ends with evenly spread views. If `curve` is a multiple of `wanted`, it is
-/// one of the strides.
+/// Returns strides over `frames` views, from a stride with few views down to `wanted`. Each stride is a multiple of the
+/// next, so an evaluation that has to end early has measured evenly spread views. If `curve` is a multiple of `wanted`,
+/// `curve` is one of the strides.
 pub fn strides(frames: usize, curve: usize, wanted: usize) -> Vec<usize> {
     let mut chain = vec![wanted.max(1)];
     let mut last = wanted.max(1);
     if curve.is_multiple_of(last) {
-        // Largest factors first: the final evaluation then adds only a few views to the curve's views at first.
+        // Largest factors first, because the chain is reversed below: after the views of the curve, the final
+        // evaluation then starts by adding only a few views.
         let mut rest = curve / last;
         for factor in (2..=rest).rev() {
             while rest.is_multiple_of(factor) && is_prime(factor) {
@@ -209,7 +212,7 @@ mod tests {
         assert_eq!(keeper.pixel(), FORWARD * 2e-3);
         keeper.rendered(3.0, 1000.0);
         assert_eq!(keeper.pixel(), 3e-3);
-        // Clearing fog makes both cheaper.
+        // When fog clears, training rays and rendered pixels both become cheaper.
         keeper.trained(1.0, 1000);
         assert!((keeper.pixel() - 1.5e-3).abs() < 1e-12);
     }

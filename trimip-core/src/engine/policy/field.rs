@@ -1,5 +1,5 @@
-//! The policy of the field: the shapes of its networks, the inputs of the colour network, and the functions of their
-//! outputs.
+//! The policy of the field: the shapes of its networks, the inputs of the colour network, and the activation functions
+//! of their outputs.
 
 use crate::{
     Config,
@@ -19,20 +19,20 @@ pub struct FieldPolicy {
     pub density: Network,
     /// The network from the view and the geometry features to colour.
     pub color: Network,
-    /// Number of inputs of the colour network from a direction; 0 if it takes none.
+    /// Number of inputs that the colour network gets from a direction; 0 if it takes no direction.
     pub view: usize,
     /// Number of geometry features.
     pub geometry: usize,
-    /// Number of inputs of the colour network from the geometry features, their sines and cosines included.
+    /// Number of inputs that the colour network gets from the geometry features, including their sines and cosines.
     pub geometry_width: usize,
-    /// Density of a logit.
+    /// Maps a logit to a density.
     pub density_activation: Density,
-    /// Colour of a logit.
+    /// Maps logits to a colour.
     pub color_activation: Color,
 }
 
 impl FieldPolicy {
-    /// The policy of a configuration.
+    /// Creates the policy of a configuration.
     pub fn new(config: &Config) -> Self {
         Self {
             settings: config.field.clone(),
@@ -46,12 +46,12 @@ impl FieldPolicy {
         }
     }
 
-    /// True if there are no networks: the features are the logits, density before colour.
+    /// Returns true if there are no networks; the features are then the logits, density before colour.
     pub fn is_direct(&self) -> bool {
         self.density.layers.is_empty() && self.color.layers.is_empty()
     }
 
-    /// Number of frequencies of the sines and cosines of geometry features; 0 without networks.
+    /// Returns the number of frequencies of the sines and cosines of geometry features; 0 without networks.
     pub fn geometry_frequencies(&self) -> u32 {
         if self.is_direct() { 0 } else { self.settings.geometry_frequencies }
     }

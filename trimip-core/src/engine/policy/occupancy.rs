@@ -1,4 +1,5 @@
-//! The policy of the occupancy grid: its space and steps, the cells of a refresh, and the query of each cell.
+//! The policy of the occupancy grid: its space and step length, the choice of cells for a refresh, and the query of
+//! each cell.
 
 use crate::{
     Config, Space,
@@ -17,16 +18,16 @@ pub struct OccupancyPolicy {
     pub settings: OccupancyConfig,
     /// The space that the cells divide.
     pub space: Space<f32>,
-    /// Random cells, points and directions.
+    /// Generator of random cells, points and directions.
     pub random: Random,
-    /// Radius of a sphere whose great circle has the area of a cell's face, world units.
+    /// Radius of a sphere whose great circle has the area of a cell's face, in world units.
     pub radius: f32,
     /// World length of one marching step at scale 1.
     pub step_length: f32,
 }
 
 impl OccupancyPolicy {
-    /// The policy of a configuration.
+    /// Creates the policy of a configuration.
     pub fn new(config: &Config) -> Self {
         let space = Space::new(&config.scene);
         Self {
@@ -38,32 +39,33 @@ impl OccupancyPolicy {
         }
     }
 
-    /// Cells along a side.
+    /// Returns the number of cells along a side.
     #[inline]
     pub fn resolution(&self) -> u32 {
         self.settings.resolution
     }
 
-    /// Number of cells.
+    /// Returns the number of cells.
     pub fn cells(&self) -> u32 {
         self.settings.resolution.pow(3)
     }
 
-    /// Fraction of the cells that the refresh at `step` queries. Warm-up steps use `occupancy.warmup_fraction`.
+    /// Returns the fraction of the cells that the refresh at `step` queries. Warm-up steps use
+    /// `occupancy.warmup_fraction`.
     pub fn fraction(&self, step: u64) -> f32 {
         let warm = step < u64::from(self.settings.warmup);
         if warm { self.settings.warmup_fraction } else { self.settings.fraction }
     }
 
-    /// The cells that the refresh at `step` queries, if `occupied` cells are occupied.
+    /// Returns the cells that the refresh at `step` queries, if `occupied` cells are occupied.
     pub fn choice(&self, step: u64, occupied: usize) -> Choice {
         let draws = self.random.at(Sequence::Cell, step);
         Choice::new(draws, self.fraction(step), occupied, self.settings.cells())
     }
 
-    /// The query of a refresh for one cell: a sample at a random point of the cell, one marching step long, on a ray from a
-    /// random direction. The sphere at the sample has the cell's radius. The ray starts before the point, at a distance of
-    /// the longest side of the space.
+    /// Returns the query of a refresh for one cell: a sample at a random point of the cell, one marching step long, on
+    /// a ray with a random direction. The sphere at the sample has the policy's `radius`. The ray starts in front of
+    /// the point, at a distance equal to the longest side of the space.
     #[inline]
     pub fn probe(&self, cell: u32, step: u64) -> (Ray, Interval, Sphere) {
         let Self { space, random, radius, step_length: length, .. } = *self;
@@ -97,11 +99,12 @@ mod tests {
         };
         assert_eq!([255, 256].map(|step| policy.fraction(step)), [1.0, 0.25]);
         assert_eq!(fraction(&policy.choice(16, 0), false), 1.0);
-        // Half the cells are occupied. An occupied cell is drawn uniformly (1/4) or among the occupied ones (1/2).
+        // Half the cells are occupied. An occupied cell is drawn uniformly (probability 1/4) or from the occupied cells
+        // (1/2).
         let later = policy.choice(512, cells as usize / 2);
         assert!((fraction(&later, false) - 0.25).abs() < 0.005);
         assert!((fraction(&later, true) - (1.0 - 0.75 * 0.5)).abs() < 0.005);
-        // Few occupied cells: all of them are drawn.
+        // If few cells are occupied, all of them are drawn.
         assert_eq!(fraction(&policy.choice(512, 100), true), 1.0);
     }
 

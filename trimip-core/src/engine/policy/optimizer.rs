@@ -15,23 +15,23 @@ use std::ops::Range;
 pub struct OptimizerPolicy {
     settings: OptimizerConfig,
     slots: Vec<Slot>,
-    /// One per slot, extended to the next alignment.
+    /// One part per slot; its end is rounded up to the alignment.
     parts: Vec<ActiveRange>,
 }
 
 /// The update of one slot in one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SlotUpdate {
-    /// Range of the updated parameters, extended to the next alignment.
+    /// Range of the updated parameters; its end is rounded up to the alignment.
     pub range: Range<usize>,
     /// The rule of the update.
     pub rule: Rule<f32>,
-    /// Groups of this many values are skipped if they have no gradient.
+    /// Number of values in a group; groups without a gradient are skipped. `None` if nothing is skipped.
     pub group: Option<usize>,
 }
 
 impl OptimizerPolicy {
-    /// The policy of a configuration over the whole slots of a layout.
+    /// Creates the policy of a configuration, which updates the whole slots of `layout`.
     pub fn new(config: &Config, layout: &Layout) -> Self {
         Self {
             settings: config.optimizer.clone(),
@@ -48,12 +48,12 @@ impl OptimizerPolicy {
         }
     }
 
-    /// True if groups of values without a gradient are not updated.
+    /// Returns true if groups of values without a gradient are not updated.
     pub fn skips_untouched(&self) -> bool {
         self.settings.untouched == Untouched::Skip
     }
 
-    /// The update of each slot at step `step` (counted from 1) at the networks' learning rate.
+    /// Returns the update of each slot at step `step` (counted from 1) at the networks' learning rate.
     pub fn updates(&self, learning_rate: f64, step: u64) -> impl Iterator<Item = SlotUpdate> {
         self.slots.iter().zip(&self.parts).map(move |(slot, part)| SlotUpdate {
             range: part.range.clone(),

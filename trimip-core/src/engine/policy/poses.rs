@@ -1,4 +1,4 @@
-//! The policy of the gradient by poses: the direction and distance by which each ray is displaced.
+//! The policy of the gradient with respect to poses: the direction and distance by which each ray is displaced.
 
 use crate::{
     Config, Space, ViewSet,
@@ -11,7 +11,7 @@ use crate::{
     },
 };
 
-/// The displacement of rays, from which the gradient by poses follows.
+/// The displacement of rays, from which the gradient with respect to poses is computed.
 #[derive(Clone, Debug)]
 pub struct PosePolicy {
     /// The space that rays pass through.
@@ -24,8 +24,8 @@ pub struct PosePolicy {
 }
 
 impl PosePolicy {
-    /// The policy of a configuration over training views; `None` without views, or unless the configuration refines
-    /// poses.
+    /// Creates the policy of a configuration over training views. Returns `None` without views, or if the configuration
+    /// does not refine poses.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Option<Self> {
         let views = views.filter(|_| config.train.cameras == CameraPoses::Refine)?;
         Some(Self {
@@ -36,13 +36,13 @@ impl PosePolicy {
         })
     }
 
-    /// The random numbers of a step.
+    /// Returns the random numbers of a step.
     pub fn draws(&self, step: u64) -> Draws {
         self.random.at(Sequence::Motion, step)
     }
 
-    /// The sphere of a moved ray's sample at distance `t`: its position in the unit cube, clamped to it, and the `radius`
-    /// of the original sample.
+    /// Returns the sphere of a sample at distance `t` along the displaced ray `moved`: its position in the unit cube,
+    /// clamped to the cube, and the `radius` of the original sample.
     #[inline]
     pub fn sphere(&self, moved: &Ray, t: f32, radius: f32) -> Sphere {
         let point = std::array::from_fn(|axis| moved.origin[axis] + t * moved.direction[axis]);
@@ -50,17 +50,18 @@ impl PosePolicy {
     }
 }
 
-/// A random unit vector across ray number `index` of a step.
+/// Returns a random unit vector perpendicular to ray number `index` of a step.
 #[inline]
 pub fn direction(draws: &Draws, index: u32, ray: &Ray) -> [f32; 3] {
-    // A uniform point of a disc, normalised: sine and cosine, which differ between devices, are not needed.
+    // A normalised random point of a disc needs no sine and cosine, which differ between devices.
     let [x, y] = disc(draws, index);
     let scale = (x * x + y * y).sqrt().recip();
     let [u, v] = across(ray.direction);
     std::array::from_fn(|axis| scale * (x * u[axis] + y * v[axis]))
 }
 
-/// A point of the unit disc: the first of four points of a square that lies in the disc, or else the last of them.
+/// Returns a random point of the unit disc: the first of four random points of a square that lies in the disc. If none
+/// does, returns the last of them.
 #[inline]
 fn disc(draws: &Draws, index: u32) -> [f32; 2] {
     let mut point = [0.0; 2];
@@ -73,7 +74,7 @@ fn disc(draws: &Draws, index: u32) -> [f32; 2] {
     point
 }
 
-/// A ray moved by its own radius along `by`, at every distance.
+/// Returns the ray displaced along `by`, at every distance by the ray's radius there.
 #[inline]
 pub fn moved(ray: &Ray, by: [f32; 3]) -> Ray {
     Ray {

@@ -1,5 +1,5 @@
-//! The policy of rendering: the schedules of the marching step's length and of the least weight of samples with a colour,
-//! the pruning rule, the background, and the proxy of hybrid rendering.
+//! The policy of rendering: the schedules of the marching step's length and of the minimum weight at which a sample has
+//! a colour, the pruning rule, the background, and the proxy of hybrid rendering.
 
 use crate::{
     Config, Result, Space,
@@ -14,15 +14,15 @@ use crate::{
 pub struct RendererPolicy {
     /// The space that rays march through.
     pub space: Space<f32>,
-    /// Minimum length of a step, in radii of the ray's sphere in the middle of the box.
+    /// Minimum length of a step, as a multiple of the radius of the ray's sphere in the middle of the box.
     pub step_per_radius: f32,
     /// The rule by which samples are dropped.
     pub pruning: Pruning<f32>,
     /// Background of pixels that have no target, RGB.
     pub background: [f32; 3],
-    /// Random offsets of the first steps.
+    /// Generator of the random offset of each ray's first step.
     pub random: Random,
-    /// Length of a step at scale 1 of the schedule.
+    /// Length of a step at a `step_scale` of 1.
     uniform_step: f32,
     step_scale: Schedule,
     step_length: f32,
@@ -33,7 +33,7 @@ pub struct RendererPolicy {
 }
 
 impl RendererPolicy {
-    /// The policy of a configuration at the start of a run.
+    /// Creates the policy of a configuration at the start of a run.
     pub fn new(config: &Config) -> Self {
         let renderer = &config.renderer;
         let mut policy = Self {
@@ -60,24 +60,25 @@ impl RendererPolicy {
         self.color_weight = self.color_weights.at(progress) as f32;
     }
 
-    /// Length of a marching step: in world units in a bounded space, otherwise in units of the ray's parameter.
+    /// Returns the length of a marching step, in world units in a bounded space and otherwise in units of the ray's
+    /// parameter.
     #[inline]
     pub fn step_length(&self) -> f32 {
         self.step_length
     }
 
-    /// Weight of a sample in its ray below which it has no colour (`renderer.color_weight`).
+    /// Returns the compositing weight below which a sample has no colour (`renderer.color_weight`).
     pub fn color_weight(&self) -> f32 {
         self.color_weight
     }
 
-    /// Upper bound on the samples of a ray.
+    /// Returns an upper bound on the number of samples of a ray.
     pub fn most_samples(&self) -> usize {
         self.space.most_steps(self.step_length)
     }
 
-    /// Builds the guide that chooses the samples of pictures, from the assets of a model. `None` for volume rendering,
-    /// and if the assets have no proxy or an empty one.
+    /// Builds the guide that chooses the samples of pictures, from the assets of a model. Returns `None` for volume
+    /// rendering, or if the assets have no proxy or an empty one.
     ///
     /// # Errors
     /// When the proxy is broken.

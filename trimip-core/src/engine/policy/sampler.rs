@@ -1,5 +1,5 @@
-//! The policy of sampling rays: the pixels that a step draws from each scale, their loss weight and cones, and the share
-//! of random backgrounds, by the schedules.
+//! The policy of sampling rays: the pixels that a step draws from each scale, their loss weight and cones, and the
+//! fraction of random backgrounds, according to the schedules.
 
 use crate::{
     Config, Scale, View, ViewSet,
@@ -19,15 +19,16 @@ use crate::{
 pub struct SamplerPolicy {
     /// The rule by which pixels of cameras are divided into cones.
     pub division: Division,
-    /// Background of training pixels that get no random one, RGB.
+    /// Background (RGB) of training pixels that do not get a random background.
     pub background: [f32; 3],
-    /// Random pixels and backgrounds.
+    /// Generator of random pixels and backgrounds.
     pub random: Random,
     /// The scales of the training views, fine to coarse; empty without views.
     pub scales: Vec<Scale>,
     /// Edge exponent of each scale's photographs ([`edge_exponents`](crate::scene::edge_exponents)).
     pub exponents: Vec<f32>,
-    /// The photograph of each training view ([`exposure::photographs`]) with `loss.exposure` or refined poses; empty otherwise.
+    /// With `loss.exposure` or refined poses, the photograph of each training view ([`exposure::photographs`]);
+    /// otherwise empty.
     pub photographs: Vec<u32>,
     loss: LossConfig,
     knows_depths: bool,
@@ -39,7 +40,8 @@ pub struct SamplerPolicy {
 }
 
 impl SamplerPolicy {
-    /// The policy of a configuration over training views at the start of a run; without views, for camera rays only.
+    /// Creates the policy of a configuration over training views at the start of a run. Without views, the policy is
+    /// for camera rays only.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Self {
         let told_apart =
             config.loss.exposure == Exposure::Gain || config.train.cameras == CameraPoses::Refine;
@@ -57,7 +59,7 @@ impl SamplerPolicy {
             sampling: views.map(|views| ScaleSampling::new(config, views)),
             scale_weights: ScaleWeights::default(),
             random_background: 0.0,
-            // A trainer refuses views that cannot have an error map.
+            // The error is dropped here, because a trainer rejects views that cannot have an error map.
             error_map: views.and_then(|views| ErrorMap::new(config, views).ok().flatten()),
         };
         policy.set_progress(0.0);
@@ -73,35 +75,35 @@ impl SamplerPolicy {
         self.knows_depths = Depth.weight_at(&self.loss, progress) > 0.0;
     }
 
-    /// Pixels, loss weight and cones of each scale.
+    /// Returns the pixels, loss weight and cones of each scale.
     pub fn scale_weights(&self) -> &ScaleWeights {
         &self.scale_weights
     }
 
-    /// Fraction of the training pixels that get a random background.
+    /// Returns the fraction of the training pixels that get a random background.
     #[inline]
     pub fn random_background(&self) -> f32 {
         self.random_background
     }
 
-    /// True while the targets of pixels have their known depths: `loss.depth` is above 0.
+    /// Returns true while `loss.depth` is above 0: the targets of pixels then include their known depths.
     #[inline]
     pub fn knows_depths(&self) -> bool {
         self.knows_depths
     }
 
-    /// The error map, with `train.error_map`.
+    /// Returns the error map, if `train.error_map` is used.
     pub fn error_map(&self) -> Option<&ErrorMap> {
         self.error_map.as_ref()
     }
 
-    /// Replaces the error map by one of the same photographs.
+    /// Replaces the error map with one of the same photographs.
     pub fn set_error_map(&mut self, map: ErrorMap) {
         self.error_map = Some(map);
     }
 
-    /// Pixel `index` of a training step, from the scale that `draw` assigns to it. Within the scale it is drawn uniformly
-    /// or by the error map. `views` are all views.
+    /// Returns pixel `index` of a training step, from the scale that `draw` assigns to the pixel. Within the scale, the
+    /// pixel is drawn uniformly or by the error map. `views` are the views of all scales.
     #[inline]
     pub fn pixel(&self, views: &[View], step: u64, draw: &RayAllocation, index: u32) -> Drawn {
         let scale = draw.scale(index);
@@ -120,7 +122,7 @@ impl SamplerPolicy {
         }
     }
 
-    /// The cell of the error map that pixel `index` of a training step is drawn from.
+    /// Returns the cell of the error map from which pixel `index` of a training step is drawn.
     #[inline]
     pub fn cell(&self, map: &ErrorMap, step: u64, index: u32) -> usize {
         map.cell(self.random.bits(Sequence::Pixel, step, index)[0])
@@ -136,7 +138,7 @@ mod tests {
     };
     use glam::DVec3;
 
-    /// Two scales of one view each.
+    /// Returns two scales of one view each.
     fn views() -> ViewSet {
         let view = |side: u32, offset| View {
             name: String::new(),

@@ -9,24 +9,24 @@ use crate::{
     math::bits,
 };
 
-/// Bricks whose densities are computed at once; it bounds the memory.
+/// Number of bricks whose densities are computed at once; it bounds the memory use.
 const BRICKS_AT_ONCE: usize = 256;
 
-/// Radius of the spheres, in marching steps, for a model without a set cone width. The scene plan makes a step 1.4 pixels
-/// long.
+/// Radius of the spheres, in marching steps, for a model without a set cone width. The scene plan makes a step 1.4
+/// pixels long, so the radius is half a pixel.
 const RADIUS_PER_STEP: f32 = 0.36;
 
-/// The resolution of a proxy.
+/// Resolution of a proxy, and the radius of its spheres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Baking {
-    /// Cells along the longest side of the box.
+    /// Number of cells along the longest side of the box.
     pub resolution: u32,
-    /// Radius of the spheres, world units.
+    /// Radius of the spheres, in world units.
     pub radius: f32,
 }
 
 impl Baking {
-    /// The proxy of a configuration. Its spheres are those of the cones into which pixels are divided.
+    /// Returns the resolution for a configuration. The spheres are as wide as the cones into which pixels are divided.
     pub fn of(config: &Config) -> Self {
         let width = config.renderer.cone_width;
         let radius = if width > 0.0 { 0.5 * width } else { RADIUS_PER_STEP * config.step_length() };
@@ -34,8 +34,8 @@ impl Baking {
     }
 }
 
-/// Computes the proxy of a model: the density of the sphere at the centre of each cell that is occupied. `watch` receives
-/// the fraction that is done and returns false to stop; the result is then `None`.
+/// Computes the proxy of a model: for each occupied cell, the density of a sphere at the cell's centre. `watch`
+/// receives the fraction that is done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
 /// When space is contracted, and when the device fails.

@@ -1,16 +1,16 @@
-//! Chooses the places of a ray that are evaluated, from the densities that the proxy predicts along it, and the samples
-//! that share a colour. Letters as in [`compositing`](crate::math::compositing).
+//! Chooses the positions along a ray at which the model is evaluated, from the densities that the proxy predicts along
+//! the ray, and then the samples that share a colour. Symbols are those of [`compositing`](crate::math::compositing).
 //!
 //! The ray is divided into steps. A step whose predicted weight is less than [`Rule::least`] is left out; its optical
-//! depth is added to the next sample, or to the last one of the ray. Where the weights of left-out steps add up to
-//! [`Rule::least`], the heaviest of them becomes a sample, so that a ray loses less than this weight. The model evaluates
-//! the samples. Neighbouring samples whose total weight is at most [`Rule::shared_weight`] share one colour, that of the
-//! weighted mean of their geometry features.
+//! depth is added to the next sample, or to the last sample of the ray. If the weights of left-out steps add up to
+//! [`Rule::least`], the heaviest of these steps becomes a sample, so that a ray loses less than this weight. The model
+//! evaluates the samples. Neighbouring samples whose total weight is at most [`Rule::shared_weight`] share one colour,
+//! that of the weighted mean of their geometry features.
 
 use crate::math::compositing::weight;
 use std::ops::Range;
 
-/// Optical depth behind the end of an opaque ray, added to its last sample.
+/// Optical depth of everything behind the end of an opaque ray. It is added to the ray's last sample.
 pub const BEHIND: f32 = 6.0;
 
 /// The rule by which samples are chosen.
@@ -22,23 +22,25 @@ pub struct Rule {
     pub opaque: f32,
     /// Largest total weight of samples that share a colour.
     pub shared_weight: f32,
-    /// Largest distance between samples that share a colour, world units.
+    /// Largest distance between samples that share a colour, in world units.
     pub reach: f32,
 }
 
 /// A sample that was chosen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Chosen {
-    /// Distance, in units of the unit direction.
+    /// Distance along the ray, whose direction is a unit vector.
     pub t: f32,
-    /// Predicted optical depth of its own step; `depth` is that of all steps that it represents.
+    /// Predicted optical depth of the sample's own step. `depth` is the predicted optical depth of all steps that the
+    /// sample represents.
     pub(super) own: f32,
     pub(super) depth: f32,
 }
 
 impl Chosen {
-    /// Length of the sample, for steps of length `step`. It is at most the length of the steps that it represents,
-    /// because its own step is the thickest of them; the last sample of an opaque ray may be longer.
+    /// Returns the length of the sample, for steps of length `step`. It is at most the total length of the steps that
+    /// the sample represents, because its own step is the thickest of them; the last sample of an opaque ray may be
+    /// longer.
     #[inline(always)]
     pub fn length(&self, step: f32) -> f32 {
         step * (self.depth / self.own)
@@ -50,7 +52,7 @@ impl Chosen {
 pub struct Chooser {
     rule: Rule,
     transmittance: f32,
-    /// Weight of the steps that were left out since the last sample.
+    /// Total weight of the steps that were left out since the last sample.
     light: f32,
     /// The thickest of these steps, with the optical depth of all of them.
     lent: Chosen,
@@ -58,10 +60,10 @@ pub struct Chooser {
     held: Option<Chosen>,
 }
 
-/// Picks samples of one ray, whose steps with a density arrive front to back.
+/// Picks the samples of one ray. The steps that have a density arrive front to back.
 pub trait Pick {
-    /// Adds a step around `t`, of the predicted optical depth `depth` and opacity `alpha`. Returns true if the ray ends
-    /// there.
+    /// Adds a step around `t`, with the predicted optical depth `depth` and opacity `alpha`. Returns true if the ray
+    /// ends there.
     fn step(&mut self, t: f32, depth: f32, alpha: f32, choose: &mut impl FnMut(Chosen)) -> bool;
 
     /// Ends the ray.
@@ -69,7 +71,7 @@ pub trait Pick {
 }
 
 impl Chooser {
-    /// The state at the start of a ray.
+    /// Creates the state at the start of a ray.
     #[inline(always)]
     pub fn new(rule: Rule) -> Self {
         Self { rule, transmittance: 1.0, light: 0.0, lent: Chosen::default(), held: None }
@@ -83,7 +85,7 @@ impl Pick for Chooser {
         self.transmittance -= weight;
         self.light += weight;
         let all = self.lent.depth + depth;
-        // Within fog, transmittance hardly changes: the thickest step is the heaviest.
+        // In fog, transmittance hardly changes, so the thickest step is also the heaviest.
         let best = if depth > self.lent.own {
             Chosen { t, own: depth, depth: all }
         } else {
@@ -113,7 +115,7 @@ impl Pick for Chooser {
 /// An evaluated sample of a ray.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shaded {
-    /// Distance, in units of the unit direction.
+    /// Distance along the ray, whose direction is a unit vector.
     pub t: f32,
     /// Optical depth.
     pub depth: f32,
@@ -121,8 +123,8 @@ pub struct Shaded {
     pub weight: f32,
 }
 
-/// Groups the samples of a ray that share a colour, given their distances and optical depths front to back. Sets all
-/// weights; `group` receives the range and the samples of each group.
+/// Groups the samples of a ray that share a colour, given their distances and optical depths front to back. Sets the
+/// weights of all samples; `group` receives the range and the samples of each group.
 pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(Range<usize>, &[Shaded])) {
     let mut before = 0.0_f32;
     for sample in samples.iter_mut() {
@@ -134,7 +136,7 @@ pub fn share_colors(rule: &Rule, samples: &mut [Shaded], mut group: impl FnMut(R
         let mut sum = first.weight;
         let mut end = start + 1;
         while let Some(next) = samples.get(end) {
-            // The comparison is false for NaN, which stays alone.
+            // The comparison is false for NaN, so a sample with NaN forms a group of its own.
             if !(sum + next.weight <= rule.shared_weight && next.t - first.t <= rule.reach) {
                 break;
             }
@@ -152,8 +154,8 @@ mod tests {
 
     const RULE: Rule = Rule { least: 0.02, opaque: 0.01, shared_weight: 0.3, reach: 5.0 };
 
-    /// The samples of a ray with these optical depths, one step of length 1 each, as (t, optical depth for densities as
-    /// predicted).
+    /// Returns the samples (t, optical depth) of a ray with these optical depths, one per step of length 1, if the
+    /// model's densities are the predicted ones.
     fn chosen(depths: &[f32]) -> Vec<(f32, f32)> {
         let mut samples = Vec::new();
         let mut chooser = Chooser::new(RULE);
@@ -180,8 +182,8 @@ mod tests {
         }
     }
 
-    /// Steps too thin for a sample of their own share one, at the thickest of them. The ray loses less opacity than the
-    /// least weight, however thin the fog is.
+    /// Checks that steps too thin for samples of their own share a sample at the thickest of them, and that the ray
+    /// loses less opacity than the least weight, however thin the fog is.
     #[test]
     fn fog_is_seen() {
         for thin in [1e-4_f32, 1e-3, 5e-3, 0.03] {
@@ -197,7 +199,7 @@ mod tests {
         }
     }
 
-    /// The sum of the optical depths is that of all steps.
+    /// Checks that the optical depths of the samples add up to those of all steps.
     #[test]
     fn a_translucent_ray_keeps_its_transmittance() {
         let depths: Vec<f32> = (0..12).map(|i| 0.06 * (0.7 * i as f32).sin().powi(2)).collect();
@@ -223,12 +225,12 @@ mod tests {
             assert_eq!(range.len(), own.len());
             found.push(range);
         });
-        // Weights 0.095, 0.086, 0.078, 0.070, 0.637, 0.006.
+        // The weights are 0.095, 0.086, 0.078, 0.070, 0.637, 0.006.
         assert_eq!(found, [0..3, 3..4, 4..5, 5..6]);
         let transmittance = (-depths.iter().sum::<f32>()).exp();
         let sum: f32 = samples.iter().map(|own| own.weight).sum();
         assert!((1.0 - transmittance - sum).abs() < 1e-6);
-        // Samples far apart show different things.
+        // Samples that are far apart do not share a colour.
         samples.iter_mut().for_each(|own| own.t *= 10.0);
         let mut count = 0;
         share_colors(&RULE, &mut samples, |_, _| count += 1);

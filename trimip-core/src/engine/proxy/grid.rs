@@ -1,19 +1,19 @@
-//! The sparse grid of a proxy: bricks of cells, each cell with a code of four bits for its density.
+//! The sparse grid of a proxy: bricks of cells. Each cell has a four-bit code for its density.
 
-/// Cells along each side of a brick.
+/// Number of cells along each side of a brick.
 pub const BRICK: u32 = 8;
 
-/// Cells of a brick.
+/// Number of cells of a brick.
 pub const BRICK_CELLS: usize = (BRICK * BRICK * BRICK) as usize;
 
-/// Bytes of a brick's codes: two cells a byte.
+/// Number of bytes of a brick's codes; a byte holds the codes of two cells.
 pub(super) const BRICK_BYTES: usize = BRICK_CELLS / 2;
 
-/// Number of codes of a cell.
+/// Number of different codes.
 pub const CODES: usize = 16;
 
-/// Optical depth of a cell with code 1; a thinner cell counts as empty, because all thinner cells along a ray are nearly
-/// transparent.
+/// Optical depth of a cell with code 1. Thinner cells count as empty, because even all of them along a ray together are
+/// nearly transparent.
 const THINNEST: f32 = 1.0 / 65536.0;
 
 /// Optical depth of a cell with the last code, which is as opaque as a wall.
@@ -23,22 +23,24 @@ const THICKEST: f32 = 16.0;
 /// density grows with the code. This is exact enough for choosing samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Proxy {
-    /// Cells along each axis, multiples of [`BRICK`].
+    /// Number of cells along each axis, multiples of [`BRICK`].
     pub(super) cells: [u32; 3],
-    /// Width of a cell, world units.
+    /// Width of a cell, in world units.
     pub(super) width: f32,
-    /// Radius of the spheres whose densities it holds, world units.
+    /// Radius of the spheres whose densities the proxy holds, in world units.
     pub(super) radius: f32,
-    /// One per brick, x fastest: 0 if the brick is empty, otherwise 1 + its place in `codes`.
+    /// One per brick, x fastest: 0 if the brick is empty, otherwise 1 + the position of its codes in `codes`, counted
+    /// in bricks.
     pub(super) index: Vec<u32>,
-    /// [`BRICK_BYTES`] bytes per brick that is not empty, x fastest, the first of two cells in the lower bits.
+    /// [`BRICK_BYTES`] bytes per brick that is not empty. Cells are ordered x fastest; the first of two cells is in the
+    /// lower bits of a byte.
     pub(super) codes: Vec<u8>,
     /// Density of each code, per world unit.
     pub(super) densities: Vec<f32>,
 }
 
 impl Proxy {
-    /// An empty proxy of cells of about `width`, over a box of these sides.
+    /// Creates an empty proxy with cells of about `width`, over a box of these sides.
     pub(super) fn empty(extent: [f32; 3], width: f32, radius: f32) -> Self {
         let cells = extent.map(|side| ((side / width).ceil() as u32).max(1).next_multiple_of(BRICK));
         let [x, y, z] = cells.map(|count| (count / BRICK) as usize);
@@ -52,48 +54,50 @@ impl Proxy {
         }
     }
 
-    /// Cells along each axis.
+    /// Returns the number of cells along each axis.
     pub fn cells(&self) -> [u32; 3] {
         self.cells
     }
 
-    /// Width of a cell, world units.
+    /// Returns the width of a cell, in world units.
     pub fn width(&self) -> f32 {
         self.width
     }
 
-    /// Radius of the spheres whose densities it holds, world units.
+    /// Returns the radius of the spheres whose densities the proxy holds, in world units.
     pub fn radius(&self) -> f32 {
         self.radius
     }
 
-    /// Share of the bricks that are not empty.
+    /// Returns the fraction of the bricks that are not empty.
     pub fn filled(&self) -> f64 {
         (self.codes.len() / BRICK_BYTES) as f64 / self.index.len() as f64
     }
 
-    /// One per brick, x fastest: 0 if the brick is empty, otherwise 1 + its place in [`codes`](Self::codes).
+    /// Returns one number per brick, x fastest: 0 if the brick is empty, otherwise 1 + the position of its codes in
+    /// [`codes`](Self::codes), counted in bricks.
     pub fn index(&self) -> &[u32] {
         &self.index
     }
 
-    /// Codes of the cells of the bricks that are not empty, two a byte, x fastest, the first of two in the lower bits.
+    /// Returns the codes of the cells in bricks that are not empty, two cells per byte. Cells are ordered x fastest;
+    /// the first of two cells is in the lower bits.
     pub fn codes(&self) -> &[u8] {
         &self.codes
     }
 
-    /// Density of each code, per world unit.
+    /// Returns the density of each code, per world unit.
     pub fn densities(&self) -> &[f32] {
         &self.densities
     }
 
-    /// Density at a position in the cube, per world unit.
+    /// Returns the density at a position in the cube, per world unit.
     #[inline(always)]
     pub fn density(&self, position: [f32; 3]) -> f32 {
         self.densities[usize::from(self.code(position))]
     }
 
-    /// Code of the cell at a position in the cube.
+    /// Returns the code of the cell at a position in the cube.
     #[inline(always)]
     pub fn code(&self, position: [f32; 3]) -> u8 {
         let cell: [u32; 3] =
@@ -110,13 +114,13 @@ impl Proxy {
     }
 }
 
-/// Density of each code for cells of this width.
+/// Returns the density of each code for cells of this width.
 pub(super) fn densities(width: f32) -> Vec<f32> {
     let depth = |code: usize| THINNEST * ((code - 1) as f32 / intervals() * octaves()).exp2();
     std::iter::once(0.0).chain((1..CODES).map(|code| depth(code) / width)).collect()
 }
 
-/// Code of a cell of this optical depth.
+/// Returns the code of a cell with this optical depth.
 pub(super) fn code(depth: f32) -> u8 {
     if !(depth >= THINNEST) {
         return 0;
@@ -124,12 +128,12 @@ pub(super) fn code(depth: f32) -> u8 {
     (1.0 + intervals() * (depth / THINNEST).log2() / octaves()).round().min(1.0 + intervals()) as u8
 }
 
-/// Octaves between the optical depths of the first code and the last.
+/// Returns the number of octaves between the optical depths of the first code above 0 and the last code.
 fn octaves() -> f32 {
     (THICKEST / THINNEST).log2()
 }
 
-/// Number of intervals between these two codes.
+/// Returns the number of intervals between these two codes.
 fn intervals() -> f32 {
     (CODES - 2) as f32
 }
@@ -147,7 +151,7 @@ mod tests {
         for i in 0..1000 {
             let depth = THINNEST * (THICKEST / THINNEST).powf(i as f32 / 999.0);
             let ratio = densities[usize::from(code(depth))] * width / depth;
-            // Half an interval of 20/14 octaves.
+            // Rounding changes a depth by at most half an interval, and an interval is 20/14 octaves.
             assert!((0.6..1.65).contains(&ratio), "{depth}: {ratio}");
         }
     }

@@ -1,4 +1,4 @@
-//! The proxy of a model as a renderer uses it.
+//! A model's proxy in the form that a renderer uses.
 
 use super::{Layers, Proxy, Rule};
 use crate::{
@@ -7,25 +7,26 @@ use crate::{
     field::model::Assets,
 };
 
-/// A proxy, and the rules that choose samples by it.
+/// A proxy, and the rules that choose samples from its densities.
 #[derive(Clone, Debug)]
 pub struct Guide {
     /// The densities.
     pub proxy: Proxy,
     /// The rule by which samples are chosen and share colours.
     pub rule: Rule,
-    /// The paper's rule, if samples are placed by it.
+    /// The paper's rule, if that rule places the samples.
     pub layers: Option<Layers>,
-    /// Length of a step along the proxy, world units.
+    /// Length of a step through the proxy, in world units.
     pub step: f32,
-    /// Largest radius of a sphere for which the proxy is used, world units.
+    /// Largest radius of a sphere for which the proxy is used, in world units.
     pub widest: f32,
-    /// Optical depth and opacity of a step by the code of its cell.
+    /// Optical depth and opacity of a step, indexed by the code of the cell in which it lies.
     pub steps: Vec<[f32; 2]>,
 }
 
 impl Guide {
-    /// The guide of a model with these assets. `None` for volume rendering, and if they have no proxy or an empty one.
+    /// Creates the guide of a model with these assets. Returns `None` for volume rendering, or if the assets have no
+    /// proxy or an empty one.
     ///
     /// # Errors
     /// When the proxy is broken.

@@ -1,5 +1,6 @@
-//! The paper's rule (Tri-MipRF Section 3.4): uniform samples around each place where a ray enters a surface. A surface
-//! begins where the proxy predicts a least optical depth; this replaces the paper's mesh.
+//! The paper's rule (Tri-MipRF Section 3.4): uniform samples around each point where a ray enters a surface. A surface
+//! begins where the optical depth that the proxy predicts for a step reaches a threshold; the paper uses a mesh
+//! instead.
 
 use super::{Chosen, Pick};
 
@@ -8,13 +9,13 @@ use super::{Chosen, Pick};
 pub struct Layers {
     /// Half the length of a layer: its samples lie within this distance of the surface.
     pub delta: f32,
-    /// Samples of a layer.
+    /// Number of samples per layer.
     pub samples: u32,
-    /// Largest number of layers of a ray.
+    /// Largest number of layers per ray.
     pub layers: u32,
-    /// Predicted optical depth of a step at which a surface begins.
+    /// Threshold: a step with at least this predicted optical depth lies in a surface.
     pub surface: f32,
-    /// Length of a step along the proxy.
+    /// Length of a step through the proxy.
     pub step: f32,
 }
 
@@ -30,7 +31,7 @@ pub struct Layering {
 }
 
 impl Layering {
-    /// The state at the start of a ray.
+    /// Creates the state at the start of a ray.
     #[inline(always)]
     pub fn new(rule: Layers) -> Self {
         Self { rule, layers: 0, end: f32::NEG_INFINITY, dense: f32::NEG_INFINITY }
@@ -44,7 +45,7 @@ impl Pick for Layering {
         if depth < surface {
             return false;
         }
-        // Steps without a density do not arrive.
+        // Steps without a density do not arrive, so a gap since the last dense step means that a new surface begins.
         if t - self.dense > 1.5 * step {
             let first = (t - delta).max(self.end);
             self.end = t + delta;

@@ -1,4 +1,4 @@
-//! The proxy as assets of a model file. Bytes are compressed (DEFLATE, RFC 1951).
+//! The proxy as assets of a model file. The bytes of these assets are compressed (DEFLATE, RFC 1951).
 
 use super::grid::{BRICK, BRICK_BYTES, BRICK_CELLS, Proxy, densities};
 use crate::{
@@ -12,16 +12,16 @@ use crate::{
 };
 use flate2::Compression;
 
-/// Cells along each axis, width of a cell, radius of the spheres.
+/// Number of cells along each axis, width of a cell, radius of the spheres.
 const SHAPE: &str = "proxy.shape";
 
-/// One bit per brick, lowest bit first: whether it has codes. Compressed.
+/// One bit per brick, lowest bit first: 1 if the brick has codes. Compressed.
 const BRICKS: &str = "proxy.bricks";
 
-/// Codes of these bricks. Compressed.
+/// Codes of the bricks that have codes. Compressed.
 const CODES: &str = "proxy.codes";
 
-/// Most cells of a proxy.
+/// Largest number of cells of a proxy.
 const MOST_CELLS: u64 = 1 << 34;
 
 fn name(part: &str) -> String {
@@ -32,7 +32,7 @@ fn broken(what: impl std::fmt::Display) -> Error {
     Error::input("the model's proxy", what, "compute it again: `trimip-cli bake RUN`")
 }
 
-/// The `expected` bytes of a compressed tensor.
+/// Decompresses the tensor `part` to `expected` bytes.
 fn part(assets: &Assets, part: &str, expected: usize) -> Result<Vec<u8>> {
     let full = name(part);
     let Some(tensor) = assets.get(&full) else { return Err(broken(format!("has no tensor `{full}`"))) };
@@ -40,15 +40,15 @@ fn part(assets: &Assets, part: &str, expected: usize) -> Result<Vec<u8>> {
 }
 
 impl Proxy {
-    /// True if a model's assets hold a proxy.
+    /// Returns true if a model's assets hold a proxy.
     pub fn is_in(assets: &Assets) -> bool {
         assets.contains_key(&name(SHAPE))
     }
 
-    /// The assets that hold the proxy.
+    /// Returns the assets that hold the proxy.
     ///
     /// # Errors
-    /// When memory for the compressed bytes is missing.
+    /// When there is not enough memory for the compressed bytes.
     pub fn to_assets(&self) -> Result<Assets> {
         let [x, y, z] = self.cells.map(|count| count as f32);
         let bits = bits::of(self.index.len(), |brick| self.index[brick] > 0);
@@ -61,7 +61,7 @@ impl Proxy {
         .into())
     }
 
-    /// The proxy of a model's assets; `None` if they hold none.
+    /// Reads the proxy from a model's assets; returns `None` if the assets hold no proxy.
     ///
     /// # Errors
     /// When the proxy is broken.

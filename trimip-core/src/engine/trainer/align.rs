@@ -1,4 +1,4 @@
-//! Aligns the poses of other photographs with a model that does not change.
+//! Aligns the poses of photographs outside the training set with a model that does not change.
 
 use super::Trainer;
 use crate::{
@@ -8,7 +8,7 @@ use crate::{
 };
 use std::sync::Arc;
 
-/// Steps of an alignment.
+/// Number of steps of an alignment.
 const STEPS: u64 = 200;
 
 /// Largest number of samples of a step.
@@ -41,7 +41,7 @@ impl<B: Backend> Trainer<B> {
         Ok(refined.into_iter().map(|(_, camera)| camera).collect())
     }
 
-    /// Performs one step that changes the poses alone.
+    /// Performs one step that changes only the poses.
     fn align_step(&mut self, progress: f64) -> Result<()> {
         self.gradients(self.state.rays_per_step, None);
         let receipt = self.device().post(&self.partials);
@@ -62,7 +62,7 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
-/// The settings of an alignment: those of the training, for poses alone.
+/// Returns the settings of an alignment: those of the training, changed so that only poses are trained.
 fn settings(config: &Config) -> Config {
     let mut config = config.clone();
     config.train.cameras = CameraPoses::Refine;

@@ -1,4 +1,5 @@
-//! Which samples have a backward pass (`train.backward_fraction`): those whose gradients are large, and some of the others.
+//! Chooses the samples that have a backward pass (`train.backward_fraction`): all samples with large gradients, and
+//! some of the others.
 
 use super::Trainer;
 use crate::{
@@ -10,22 +11,22 @@ use crate::{
     math::rng::Sequence,
 };
 
-/// First threshold of the norms of gradients: nearly all samples are drawn.
+/// Initial threshold of the norms of gradients, with which nearly all samples are drawn.
 const FIRST: f64 = 1e-12;
 
 /// Largest threshold. Without a bound it would rise for ever in a scene without gradients.
 const LAST: f64 = 1e12;
 
-/// Largest change of the threshold by a step.
+/// Largest factor by which a step changes the threshold.
 const MOST: f64 = 2.0;
 
 impl<B: Backend> Trainer<B> {
-    /// The draw of a step; none if all samples have a backward pass.
+    /// Returns the draw of a step; `None` if all samples have a backward pass.
     pub(super) fn draw(&self, step: u64) -> Option<SampleDraw> {
         (self.state.draw_threshold > 0.0).then(|| self.draw_at(step, self.state.draw_threshold))
     }
 
-    /// A draw with the random numbers of a step.
+    /// Returns a draw with the random numbers of a step.
     pub(super) fn draw_at(&self, step: u64, threshold: f64) -> SampleDraw {
         let random = self.loaded.stages.sampler.policy().random;
         SampleDraw { draws: random.at(Sequence::Sample, step), threshold: threshold as f32 }
@@ -39,8 +40,8 @@ impl<B: Backend> Trainer<B> {
     }
 }
 
-/// Returns the threshold after a step that drew `drawn` of `of` samples, for a wanted `fraction`; 0 if all samples are to
-/// be drawn.
+/// Returns the threshold after a step that drew `drawn` of `of` samples, if a fraction `fraction` is wanted; 0 if all
+/// samples are to be drawn.
 fn adapted(threshold: f64, fraction: f64, [drawn, of]: [u64; 2]) -> f64 {
     if fraction >= 1.0 {
         return 0.0;
@@ -54,8 +55,8 @@ fn adapted(threshold: f64, fraction: f64, [drawn, of]: [u64; 2]) -> f64 {
     if drawn == of {
         return (MOST * threshold).min(LAST);
     }
-    // The number of drawn samples falls at most as fast as the threshold rises. The square root damps oscillations on
-    // devices whose sums arrive late.
+    // The number of drawn samples falls at most by the factor by which the threshold rises. The square root damps
+    // oscillations on devices whose sums arrive late.
     let ratio = drawn as f64 / (fraction * of as f64);
     (threshold * ratio.sqrt().clamp(MOST.recip(), MOST)).clamp(FIRST, LAST)
 }
@@ -67,7 +68,7 @@ mod tests {
 
     #[test]
     fn the_fraction_is_reached_however_late_the_sums_are() {
-        // Norms from 1e-6 to 1, as many of each magnitude.
+        // Norms from 1e-6 to 1, spread evenly over the orders of magnitude.
         let norms: Vec<f64> = (0..10_000).map(|i| 10.0_f64.powf(-6.0 * f64::from(i) / 1e4)).collect();
         let drawn = |threshold: f64| {
             let expected: f64 = norms.iter().map(|norm| (norm / threshold).min(1.0)).sum();

@@ -11,8 +11,8 @@ use crate::{
 };
 
 impl<B: Backend> Trainer<B> {
-    /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. When the marching step
-    /// shrinks or pixels get more cones, pixels have more samples, and the batch gets fewer pixels.
+    /// Updates every stage to the schedules at `progress`. Moments grow with their parameters. If the marching step
+    /// shrinks or pixels get more cones, each pixel has more samples, so the batch gets fewer pixels.
     pub(super) fn set_progress(&mut self, progress: f64) -> Result<()> {
         self.loaded.stages.renderer.set_progress(progress);
         self.loaded.stages.sampler.set_progress(progress);
@@ -57,8 +57,8 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    /// Applies the confinement at `progress` to the occupancy grid. It is never tightened again: the progress of a run
-    /// that is extended falls back.
+    /// Applies the confinement at `progress` to the occupancy grid. A confinement is never tightened again, because
+    /// extending a run lowers its progress.
     pub(super) fn follow_confinement(&mut self, progress: f64) {
         let next = Confinement::at(&self.loaded.config, progress);
         if next > self.state.confinement {
@@ -66,7 +66,7 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Updates the error map by the errors of the last steps.
+    /// Updates the error map with the errors of the last steps.
     pub(super) fn follow_errors(&mut self, progress: f64) -> Result<()> {
         self.gather_errors()?;
         let fraction = self.loaded.config.train.error_map.at(progress);
@@ -89,7 +89,7 @@ impl<B: Backend> Trainer<B> {
         Ok(())
     }
 
-    /// Empties the cells that cannot be occupied. Cells that have become possible stay empty until a refresh queries
+    /// Empties the cells that cannot be occupied. Cells that may be occupied again stay empty until a refresh queries
     /// them.
     pub(super) fn confine(&mut self, confinement: Confinement) {
         self.state.confinement = confinement;
@@ -111,7 +111,7 @@ impl<B: Backend> Trainer<B> {
         self.exchange.moments(&self.loaded.backend, &mut self.loaded.stages)
     }
 
-    /// Grows the growing slots within flat `values` to `stage`.
+    /// Grows the values of the growing slots to `stage`; `values` is flat and holds all slots.
     pub(super) fn grow(&self, values: &mut [f32], stage: u32) {
         let (config, _) = self.loaded.config.centred();
         for slot in self.layout().slots.iter().filter(|slot| slot.grows) {
@@ -132,8 +132,8 @@ impl<B: Backend> Trainer<B> {
         self.restrict();
     }
 
-    /// Restricts the optimiser to the parameters in use: those of the stage, without the direction's weights until their
-    /// delay ends.
+    /// Restricts the optimiser to the parameters in use: those of the stage, without the weights of the view direction
+    /// until `field.direction_delay` ends.
     fn restrict(&mut self) {
         let stage = self.state.stage;
         let encoder = encoders::of(&self.loaded.config);

@@ -1,4 +1,4 @@
-//! Training, written once over the traits. A model in training on any backend is a [`Session`].
+//! Training, generic over backends. A model in training on any backend implements [`Session`].
 
 mod align;
 mod drawing;
@@ -36,8 +36,7 @@ use rays::{FIRST_KEPT_PER_RAY, LEAST_RAYS, first_kept_per_ray};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// Expected marched samples per ray before the first step, when about every second cell of the grid is occupied at
-/// random.
+/// Expected marched samples per ray before the first step, when a random half of the grid's cells is occupied.
 const FIRST_MARCHED_PER_RAY: f32 = 128.0;
 
 /// A model in training on a backend.
@@ -47,24 +46,24 @@ pub struct Trainer<B: Backend> {
     partials: Vec<PartialGradients<B>>,
     probes: B::Buffer<Radiance>,
     state: TrainState,
-    /// Number of gradients that the run has left out, minus the optimiser's own counter, modulo 2^64. After a restored
-    /// state the counter may include gradients that do not belong to the run.
+    /// Number of gradients that the run has left out, minus the optimiser's own counter, modulo 2^64. After a restore,
+    /// the optimiser's counter may include gradients that do not belong to the run.
     left_out_before: u64,
     /// Sums of the last steps that are not yet used, oldest first.
     pending: VecDeque<sums::Pending<B>>,
     /// The error that made the parameters unusable: they hold the update of a step whose loss was not finite.
     spoilt: Option<Error>,
     exchange: Box<dyn Exchange<B>>,
-    /// Errors since the last update of the error map, as far as they were collected from all ranks. With
-    /// `train.error_map`.
+    /// With `train.error_map`: the errors since the last update of the error map that were already collected from all
+    /// ranks.
     errors: Vec<CellErrors>,
-    /// With `loss.exposure`.
+    /// Exposures of the photographs, with `loss.exposure`.
     exposures: Option<Exposures>,
-    /// With `train.cameras`.
+    /// Poses of the photographs, with `train.cameras`.
     poses: Option<Poses>,
     /// False until the end of `field.direction_delay`.
     trains_directions: bool,
-    /// With `occupancy.seeded` or `occupancy.cleared`.
+    /// Occupied and free space known from points of the scene, with `occupancy.seeded` or `occupancy.cleared`.
     known_space: Option<KnownSpace>,
 }
 
@@ -77,7 +76,7 @@ impl<B: Backend> Trainer<B> {
         Self::on(Arc::new(backend), config, views)
     }
 
-    /// As [`new`](Self::new), on a device that is shared.
+    /// Creates an untrained model as [`new`](Self::new) does, on a device that is shared.
     fn on(backend: Arc<B>, config: &Config, views: ViewSet) -> Result<Self> {
         if views.pixels.is_empty() {
             return Err(Error::input(
@@ -140,18 +139,18 @@ impl<B: Backend> Trainer<B> {
         Ok(trainer)
     }
 
-    /// Trains together with other ranks: every later step has the pixels of all of them.
+    /// Makes the trainer train together with other ranks: every later step has the pixels of all ranks.
     pub fn exchange_by(&mut self, exchange: Box<dyn Exchange<B>>) {
         self.exchange = exchange;
     }
 
-    /// The log-gains of the training photographs minus their mean, RGB of each, by the numbers of
+    /// Returns the log-gains (RGB) of each training photograph minus their mean, indexed by the numbers of
     /// [`exposure::photographs`]; empty without `loss.exposure`.
     pub fn log_gains(&self) -> Vec<[f64; 3]> {
         self.exposures.as_ref().map(Exposures::log_gains).unwrap_or_default()
     }
 
-    /// The backend, to read its counters.
+    /// Returns the backend, so that its counters can be read.
     pub fn device(&self) -> &B {
         self.loaded.device()
     }
@@ -166,12 +165,12 @@ impl<B: Backend> Trainer<B> {
         backend.health()
     }
 
-    /// Names and ranges of the parameters.
+    /// Returns the names and ranges of the parameters.
     pub fn layout(&self) -> &Layout {
         self.loaded.layout()
     }
 
-    /// All parameters, flat.
+    /// Returns all parameters, flat.
     pub fn parameters(&self) -> Vec<f32> {
         self.loaded.parameters()
     }

@@ -14,7 +14,7 @@ use crate::{
 use std::sync::Arc;
 
 impl<B: Backend> Trainer<B> {
-    /// Replaces the log-gains of the training photographs, RGB of each. Does nothing without `loss.exposure`.
+    /// Replaces the log-gains (RGB) of each training photograph. Does nothing without `loss.exposure`.
     pub fn set_log_gains(&mut self, values: &[[f32; 3]]) {
         if let Some(exposures) = &mut self.exposures {
             exposures.set(values);
@@ -32,8 +32,8 @@ impl<B: Backend> Trainer<B> {
         Ok((sums, self.mean_gradient(&sums)))
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), with samples drawn by a threshold ([`SampleDraw`]) and the
-    /// random numbers of step `draw`.
+    /// Works like [`loss_and_gradient`](Self::loss_and_gradient), but draws samples by the threshold `threshold`
+    /// ([`SampleDraw`]) with the random numbers of step `draw`.
     ///
     /// # Errors
     /// When the device fails.
@@ -49,14 +49,14 @@ impl<B: Backend> Trainer<B> {
         Ok((sums, self.mean_gradient(&sums)))
     }
 
-    /// The gradient divided by the sum of the weights.
+    /// Returns the gradient divided by the sum of the weights.
     fn mean_gradient(&self, sums: &StepSums) -> Vec<f32> {
         let gradient = self.device().read(&self.gradient);
         gradient.iter().map(|g| (f64::from(*g) / sums.weight) as f32).collect()
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), with the gradient by the log-gains of the photographs (RGB of
-    /// each).
+    /// Works like [`loss_and_gradient`](Self::loss_and_gradient), but returns the gradient with respect to the
+    /// log-gains (RGB) of each photograph.
     ///
     /// # Errors
     /// When the device fails.
@@ -66,8 +66,8 @@ impl<B: Backend> Trainer<B> {
         Ok((result.sums, gradient.unwrap_or_default()))
     }
 
-    /// Replaces the motions of the photographs' cameras: rotation (radians) and translation (world units) of each in its own
-    /// axes. Does nothing unless poses are refined.
+    /// Replaces the motions of the photographs' cameras: a rotation (radians) and a translation (world units) of each
+    /// camera in its own axes. Does nothing unless poses are refined.
     pub fn set_poses(&mut self, motions: &[Motion]) {
         if let Some(poses) = &mut self.poses {
             poses.set(motions);
@@ -75,8 +75,8 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), with the gradient by motions of the photographs' cameras, in
-    /// the form of [`set_poses`](Self::set_poses).
+    /// Works like [`loss_and_gradient`](Self::loss_and_gradient), but returns the gradient with respect to motions of
+    /// the photographs' cameras, in the form of [`set_poses`](Self::set_poses).
     ///
     /// # Errors
     /// When the device fails.
@@ -94,8 +94,8 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// As [`loss_and_gradient`](Self::loss_and_gradient), with the gradient by changes of each camera's intrinsics;
-    /// [`set_intrinsics`](Self::set_intrinsics) takes one change for all.
+    /// Works like [`loss_and_gradient`](Self::loss_and_gradient), but returns the gradient with respect to changes of
+    /// each camera's intrinsics. ([`set_intrinsics`](Self::set_intrinsics) takes one change for all cameras.)
     ///
     /// # Errors
     /// When the device fails.
@@ -105,7 +105,7 @@ impl<B: Backend> Trainer<B> {
         Ok((result.sums, gradient.unwrap_or_default()))
     }
 
-    /// Runs forward and backward over the rays of step `step`; afterwards the gradient is complete.
+    /// Runs the forward and backward passes over `rays` pixels of step `step`; afterwards the gradient is complete.
     fn result_of(&mut self, step: u64, rays: u32, draw: Option<SampleDraw>) -> Result<StepResult> {
         self.state.totals.step = step;
         let backend = Arc::clone(&self.loaded.backend);

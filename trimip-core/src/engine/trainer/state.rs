@@ -13,7 +13,7 @@ use crate::{
 };
 
 impl<B: Backend> Trainer<B> {
-    /// The model at full size, whatever size it has reached in training.
+    /// Returns the model at full size, whatever size the model has reached in training.
     pub(super) fn full_model(&mut self) -> Result<Model> {
         let mut values = self.parameters();
         self.grow(&mut values, 0);
@@ -22,14 +22,14 @@ impl<B: Backend> Trainer<B> {
         Ok(Model::new(self.loaded.config.clone(), tensors))
     }
 
-    /// The model as its file will hold it. Afterwards the session renders as the file does, with the schedules at their
-    /// end.
+    /// Returns the model as its file will hold it. Afterwards the session renders the model of the file, with the
+    /// schedules at their end.
     pub(super) fn finished_model(&mut self) -> Result<Model> {
         self.expect_usable()?;
         let model = self.full_model()?.rounded();
         self.loaded.stages.renderer.set_progress(1.0);
         if self.layout().slots.iter().any(|slot| slot.precision != FilePrecision::F32) {
-            // The model has full size, even if the run ended before it had grown to it.
+            // The model has full size, even if the run ended before the model had grown to it.
             self.enter(0);
             self.loaded.restore_model("model", &model.file, None)?;
         }
@@ -46,13 +46,13 @@ impl<B: Backend> Trainer<B> {
 
     pub(super) fn save_state(&mut self) -> Result<Checkpoint> {
         self.gather()?;
-        // Nothing is copied twice: a large model's moments are the peak of a run's memory.
+        // No tensor is copied twice, because a run's memory use peaks here, at the moments of a large model.
         let device = self.device();
         let mut file = device.look(&self.loaded.parameters, |values| self.loaded.tensors(values));
         for (suffix, moments) in [".m", ".v"].into_iter().zip(self.loaded.stages.optimizer.moments()) {
             device.look(moments, |values| self.layout().to_tensors(values, suffix, &mut file));
         }
-        // Reading the moments has updated the device's count.
+        // Reading the moments has updated the device's count of left-out gradients.
         self.count_left_out();
         let densities = self.loaded.stages.occupancy.densities();
         file.tensors.insert(OCCUPANCY_DENSITY.into(), Tensor::f32(&[densities.len()], densities));
@@ -107,7 +107,7 @@ impl<B: Backend> Trainer<B> {
         }
         self.spoilt = None;
         self.state = TrainState { data, ..checkpoint.state };
-        // Reading the moments updates the device's count of the gradients that steps before the restored state left out.
+        // Reading the moments updates the device's count of the gradients that steps before the restore left out.
         let _ = self.loaded.stages.optimizer.moments();
         self.left_out_before =
             self.state.totals.non_finite.wrapping_sub(self.loaded.stages.optimizer.non_finite());

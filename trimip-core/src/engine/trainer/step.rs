@@ -19,13 +19,13 @@ use crate::{
     measures::metrics::psnr_of_error,
 };
 
-/// Target number of marched samples per tile: the activations of this many fit into a core's L2.
+/// Target number of marched samples per tile: the activations of this many samples fit into a core's L2 cache.
 const SAMPLES_PER_TILE: f32 = 512.0;
 
-/// Maximum number of rays per tile. Rays through empty space have no samples.
+/// Maximum number of rays per tile. It limits tiles of rays through empty space, which have no samples.
 const MAX_RAYS_PER_TILE: u32 = 256;
 
-/// Occupancy cells per tile.
+/// Number of occupancy cells per tile.
 const CELLS_PER_TILE: u32 = 512;
 
 /// Maps pixels to the loss, and propagates its gradient back to the tile's partial gradients.
@@ -71,8 +71,8 @@ fn backward<B: Backend>(
     stages.encoder.backward(tile, encoder_context, &workspace.feature_gradients, &mut partial.encoder);
 }
 
-/// Adds the derivatives by the poses of the tile's photographs to the sums: encodes the samples on displaced rays, which
-/// takes two forward passes of the encoder.
+/// Adds the derivatives with respect to the poses of the tile's photographs to the sums: encodes the samples on
+/// displaced rays, in two forward passes of the encoder.
 fn pose_gradients<B: Backend>(
     stages: &Stages<B>,
     parameters: &B::Buffer<f32>,
@@ -103,8 +103,8 @@ impl<B: Backend> Trainer<B> {
         ((SAMPLES_PER_TILE / marched_per_cone.max(1.0)) as u32).clamp(1, MAX_RAYS_PER_TILE)
     }
 
-    /// Runs forward and backward over `pixels` pixels; the partial gradients then hold the gradients. Without a draw all samples
-    /// have a backward pass.
+    /// Runs the forward and backward passes over `pixels` pixels; the partial gradients then hold the gradients.
+    /// Without a draw, all samples have a backward pass.
     pub(super) fn gradients(&mut self, pixels: u32, draw: Option<&SampleDraw>) {
         let step = self.state.totals.step;
         for partial in &mut self.partials {
@@ -134,7 +134,7 @@ impl<B: Backend> Trainer<B> {
         });
     }
 
-    /// Evaluates the density of the cells that the occupancy grid selected.
+    /// Refreshes the occupancy grid with the densities of the cells that it selects.
     fn refresh_occupancy(&mut self) {
         let step = self.state.totals.step;
         let count = self.loaded.stages.occupancy.select(step);
@@ -154,7 +154,8 @@ impl<B: Backend> Trainer<B> {
     }
 
     /// Adapts the number of pixels so that the next step keeps about the target number of samples (dynamic batch).
-    /// `spacing` is that of the step with these sums, see [`TrainState`](crate::engine::checkpoint::TrainState).
+    /// `spacing` is the spacing of the step that had these sums, see
+    /// [`TrainState`](crate::engine::checkpoint::TrainState).
     pub(super) fn adapt_batch(&mut self, sums: &StepSums, spacing: f64, progress: f64) {
         let train = &self.loaded.config.train;
         let target = (f64::from(train.samples_per_step) * train.batch_scale.at(progress)) as u64;
@@ -162,7 +163,7 @@ impl<B: Backend> Trainer<B> {
         if spacing != self.state.spacing {
             next = (next as f64 * self.state.spacing / spacing) as u64;
         }
-        // At most doubled, so that one batch with few samples does not make the next one huge.
+        // The number at most doubles, so that one batch with few samples does not make the next batch huge.
         let most = 2 * u64::from(self.state.rays_per_step);
         let cones_per_pixel = self.loaded.stages.sampler.scale_weights().cones_per_pixel();
         let limit =
@@ -194,7 +195,7 @@ impl<B: Backend> Trainer<B> {
         self.exchange.partials(&self.loaded.backend, &mut self.loaded.stages, &mut self.partials)?;
         let posted = Arrival::Posted(self.device().post(&self.partials));
         self.pending.push_back(Pending { spacing: self.state.spacing, sums: posted });
-        // Without lag, the sums are read before any parameter moves.
+        // Without lag, the sums are read before any parameter changes.
         let early = if B::LAG == 0 { self.oldest_sums()? } else { None };
         if let Some((_, sums)) = &early
             && let Err(error) = finite(step, sums)

@@ -22,7 +22,7 @@ pub(super) struct Pending<B: Backend> {
 pub(super) enum Arrival<B: Backend> {
     /// In transit from the device.
     Posted(B::Receipt),
-    /// Read and counted, because a checkpoint was taken since.
+    /// Already read and added to the totals, because a checkpoint was taken in the meantime.
     Counted(StepSums),
 }
 
@@ -37,7 +37,8 @@ impl<B: Backend> Trainer<B> {
         totals.empty_batches += u64::from(sums.kept == 0);
     }
 
-    /// Returns the oldest unused sums, counted, with their spacing, if more than the lag are pending.
+    /// Returns the oldest unused sums with their spacing, after adding them to the totals. Returns `None` if the number
+    /// of pending sums does not exceed the lag.
     pub(super) fn oldest_sums(&mut self) -> Result<Option<(f64, StepSums)>> {
         if self.pending.len() <= B::LAG {
             return Ok(None);
@@ -46,7 +47,7 @@ impl<B: Backend> Trainer<B> {
         Ok(Some((spacing, self.arrived(sums)?)))
     }
 
-    /// Waits for sums and counts them.
+    /// Waits for sums and adds them to the totals, unless this was done already.
     fn arrived(&mut self, sums: Arrival<B>) -> Result<StepSums> {
         match sums {
             Arrival::Counted(sums) => Ok(sums),
@@ -62,7 +63,8 @@ impl<B: Backend> Trainer<B> {
         }
     }
 
-    /// Returns an error if the sums of a step whose update is done are not finite. The parameters are then unusable, too.
+    /// Returns an error if the sums of a step that has already updated the parameters are not finite. The parameters
+    /// are then unusable, too.
     pub(super) fn expect_finite(&mut self, step: u64, sums: &StepSums) -> Result<()> {
         finite(step, sums).inspect_err(|error| self.spoilt = Some(error.clone()))
     }
@@ -72,8 +74,8 @@ impl<B: Backend> Trainer<B> {
         self.spoilt.clone().map_or(Ok(()), Err)
     }
 
-    /// Moves exposures and poses of photographs by the gradients that are due; the networks' learning rate at `progress` is
-    /// `rate`.
+    /// Updates exposures and poses of photographs with the gradients that are due. `rate` is the networks' learning
+    /// rate at `progress`.
     pub(super) fn adapt_photographs(&mut self, rate: f64, progress: f64) {
         let in_transit =
             self.pending.iter().filter(|pending| matches!(pending.sums, Arrival::Posted(_))).count();

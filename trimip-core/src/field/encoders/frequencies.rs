@@ -1,6 +1,6 @@
-//! Positional encoding (Mildenhall et al. 2020, NeRF, Eq. 4) and its integral over a sample's Gaussian (Barron et al. 2021,
-//! mip-NeRF, Eq. 14): coordinates, and their sines and cosines at rising frequencies. It has no parameters. Coordinates are
-//! world units from the middle of the box.
+//! Positional encoding (Mildenhall et al. 2020, NeRF, Eq. 4) and its integral over a sample's Gaussian (Barron et al.
+//! 2021, mip-NeRF, Eq. 14): coordinates, and their sines and cosines at rising frequencies. It has no parameters.
+//! Coordinates are in world units, relative to the middle of the box.
 
 use super::definition::{Definition, Reference, SamplePosition};
 use super::rip_map::Gaussian;
@@ -8,8 +8,8 @@ use crate::config::FrequenciesConfig;
 use crate::math::scalar::Real;
 use crate::{Aabb, Config, Slot};
 
-/// Ratio of mip-NeRF's radius of a pixel's cone, 2/√12 of the pixel's width, to the radius of a disc of the pixel's area,
-/// 1/√π.
+/// Ratio of two radii for a pixel: the radius of mip-NeRF's cone, 2/√12 of the pixel's width, to the radius of a disc
+/// of the pixel's area, 1/√π of its width.
 pub const RADIUS: f64 = 1.023_326_707_946_488_5;
 
 /// Positional encodings as an encoder.
@@ -20,16 +20,16 @@ pub struct Frequencies;
 pub struct Encoding<R> {
     /// Number of frequencies, 2^0, 2^1, …
     pub count: usize,
-    /// True to weight sines and cosines by the mean over the sample's Gaussian.
+    /// True to replace sines and cosines by their means over the sample's Gaussian.
     pub integrated: bool,
     /// True to put the coordinates themselves first.
     pub identity: bool,
-    /// Size of the box, world units.
+    /// Size of the box, in world units.
     pub extent: [R; 3],
 }
 
 impl<R: Real> Encoding<R> {
-    /// The encoding of a configuration.
+    /// Creates the encoding of a configuration.
     pub fn new(config: &FrequenciesConfig, aabb: &Aabb<f64>) -> Self {
         Self {
             count: config.count as usize,
@@ -39,12 +39,13 @@ impl<R: Real> Encoding<R> {
         }
     }
 
-    /// Number of features.
+    /// Returns the number of features.
     pub fn width(&self) -> usize {
         6 * self.count + if self.identity { 3 } else { 0 }
     }
 
-    /// The mean of a sample, world units from the middle of the box, and its variance along each axis.
+    /// Returns the mean of a sample, in world units relative to the middle of the box, and its variance along each
+    /// axis.
     #[inline(always)]
     pub fn moments(&self, position: [R; 3], radius: R, direction: [R; 3], t: R, length: R) -> [[R; 3]; 2] {
         let half = R::from_f64(0.5);
@@ -142,7 +143,8 @@ mod tests {
         assert!(plain.iter().zip(integrated).all(|(a, b)| (a - b).abs() < 1e-14));
     }
 
-    /// Mean and variances are those of points spread evenly over the frustum of a cone, here by integration over slices.
+    /// Checks mean and variances against those of points spread evenly over the frustum of a cone, computed by
+    /// integration over slices.
     #[test]
     fn variances_are_those_of_points_in_the_frustum() {
         let (t0, t1, slope) = (1.0, 2.0, 0.1);
@@ -154,7 +156,8 @@ mod tests {
         let mut sums = [0.0; 4];
         for i in 0..slices {
             let z = t0 + length * (f64::from(i) + 0.5) / f64::from(slices);
-            // A slice has the area of its disc, whose points have a mean square of a quarter of the square radius.
+            // The weight of a slice is the area of its disc. Over the disc, the mean square of a coordinate is a
+            // quarter of the squared radius.
             let (weight, square) = (z * z, (slope * z).powi(2) / 4.0);
             let terms = [weight, weight * z, weight * z * z, weight * square];
             sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);

@@ -1,7 +1,7 @@
-//! Multiresolution hash encoding (Müller et al. 2022, instant-ngp). Each level is a grid, finer than the one before
-//! by a constant factor, with features at its corners, which are interpolated trilinearly. On fine levels several
-//! corners share an entry through a hash. Radii are not used, unless several points of a sample read the grid, or
-//! features of cells narrower than the sample are down-weighted (Barron et al. 2023, Zip-NeRF).
+//! Multiresolution hash encoding (Müller et al. 2022, instant-ngp). Each level is a grid that is finer than the
+//! previous level by a constant factor. Features at the corners of its cells are interpolated trilinearly. On fine
+//! levels several corners share an entry through a hash. Radii are used only if several points of a sample read the
+//! grid, or if features of cells narrower than the sample are down-weighted (Barron et al. 2023, Zip-NeRF).
 
 mod points;
 
@@ -24,15 +24,15 @@ pub struct HashGrid;
 /// A level of the grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
-    /// Cells across the box, minus one. Coordinate x maps to x · scale + 1/2.
+    /// Number of cells across the box, minus one. Coordinate x maps to x · scale + 1/2.
     pub scale: f32,
-    /// Corners along a side.
+    /// Number of corners along a side.
     pub side: u32,
     /// Index of the first entry within all levels.
     pub first: u32,
     /// Number of entries.
     pub entries: u32,
-    /// True if corners share entries through the hash; otherwise each corner has its own.
+    /// True if corners share entries through the hash; otherwise each corner has its own entry.
     pub hashed: bool,
 }
 
@@ -41,12 +41,12 @@ pub struct Level {
 pub struct Levels {
     /// The levels.
     pub levels: Vec<Level>,
-    /// Features per entry.
+    /// Number of features per entry.
     pub features: usize,
 }
 
 impl Levels {
-    /// The levels of a configuration.
+    /// Creates the levels of a configuration.
     pub fn new(config: &HashGridConfig) -> Self {
         let (count, most) = (config.levels, 1_u64 << config.log2_entries);
         let growth = match count {
@@ -56,7 +56,7 @@ impl Levels {
         let mut first = 0;
         let levels = (0..count).map(|level| {
             let scale = f64::from(config.coarsest) * (growth * f64::from(level)).exp() - 1.0;
-            // A scale that is a whole number except for rounding counts as that number.
+            // A scale that differs from a whole number only by rounding is treated as that number.
             let side = (scale - 1e-6).ceil() as u32 + 1;
             let corners = u64::from(side).pow(3);
             let entries = corners.next_multiple_of(8).min(most) as u32;
@@ -67,24 +67,24 @@ impl Levels {
         Self { levels: levels.collect(), features: config.features as usize }
     }
 
-    /// Number of entries of all levels.
+    /// Returns the number of entries of all levels.
     pub fn entries(&self) -> usize {
         self.levels.iter().map(|level| level.entries as usize).sum()
     }
 
-    /// Number of features of a sample.
+    /// Returns the number of features of a sample.
     pub fn width(&self) -> usize {
         self.levels.len() * self.features
     }
 
-    /// The levels that are in use at growth stage `stage`: all but the `stage` finest.
+    /// Returns the levels that are in use at growth stage `stage`: all except the `stage` finest.
     pub fn active(&self, stage: u32) -> &[Level] {
         &self.levels[..self.levels.len().saturating_sub(stage as usize)]
     }
 }
 
 impl Level {
-    /// The eight entries around a position in the unit cube, as indices within all levels, and their trilinear
+    /// Returns the eight entries around a position in the unit cube, as indices within all levels, and their trilinear
     /// weights.
     #[inline(always)]
     pub fn corners<R: Real>(&self, position: [R; 3]) -> [(u32, R); 8] {
@@ -101,7 +101,7 @@ impl Level {
         })
     }
 
-    /// Index of a corner's entry within the level.
+    /// Returns the index of a corner's entry within the level.
     #[inline(always)]
     pub fn entry(&self, [x, y, z]: [u32; 3]) -> u32 {
         if self.hashed {
@@ -282,7 +282,7 @@ mod tests {
             assert_eq!(HashGrid.length(&config, slot, stage), own.sum::<usize>());
         }
         assert_eq!(HashGrid.length(&config, slot, 0), slot.range.len());
-        // A level that comes into use begins at zero; those in use stay.
+        // A level that comes into use begins at zero; levels in use keep their values.
         let mut values = vec![1.0; slot.range.len()];
         HashGrid.grow(&config, slot, &mut values, 3, 1);
         let [before, after] = [3, 1].map(|stage| HashGrid.length(&config, slot, stage));

@@ -1,5 +1,5 @@
-//! The encoders by name. An encoder is a folder or file here (its declaration, its mathematics, its f64 reference), a file in
-//! each backend, and a line in `ALL`.
+//! The encoders by name. An encoder consists of a folder or file here (its declaration, its mathematics, its f64
+//! reference), a file in each backend, and a line in `ALL`.
 
 mod definition;
 pub mod frequencies;
@@ -27,7 +27,7 @@ const ALL: &[(EncoderKind, &dyn Definition)] = &[
     (EncoderKind::Voxels, &voxels::Voxels),
 ];
 
-/// The encoder of a configuration.
+/// Returns the encoder of a configuration.
 pub fn of(config: &Config) -> &'static dyn Definition {
     let own = ALL.iter().find(|(kind, _)| *kind == config.encoder.kind);
     own.map_or(ALL[0].1, |(_, definition)| *definition)
@@ -44,7 +44,7 @@ impl Config {
     }
 }
 
-/// Floats in a row of features: the encoder's width, padded to whole registers and tiles.
+/// Returns the number of floats in a row of features: the encoder's width, padded to whole registers and tiles.
 pub fn stride(config: &Config) -> usize {
     of(config).width(config).next_multiple_of(ALIGNMENT)
 }

@@ -1,6 +1,6 @@
 //! Ripmaps on planes of several directions (Liu et al. 2024, Rip-NeRF). A sample is a Gaussian (Barron et al. 2021,
-//! mip-NeRF). Its projection on each plane reads a ripmap, whose levels halve each axis of the plane by itself, so a
-//! Gaussian that is long in one direction is not blurred in the other.
+//! mip-NeRF). Its projection on each plane reads a ripmap, whose levels halve each axis of the plane independently, so
+//! a Gaussian that is long in one direction is not blurred in the other.
 
 use super::definition::{Definition, Reference, SamplePosition};
 use super::tri_mip::{LevelBlend, Shape, Taps, taps};
@@ -11,10 +11,10 @@ use crate::{Aabb, Config, Slot};
 /// Features per texel; one cache line of f32.
 pub const CHANNELS: usize = 16;
 
-/// Floats of a sample's Gaussian, which is kept from forward to backward.
+/// Number of floats of a sample's Gaussian, which the forward pass keeps for the backward pass.
 pub const CONTEXT: usize = 8;
 
-/// Most levels along an axis.
+/// Largest number of levels along an axis.
 pub const MOST_LEVELS: u32 = 13;
 
 /// Ripmapped planes as an encoder.
@@ -25,22 +25,23 @@ pub struct RipMap;
 pub struct Gaussian<R> {
     /// Mean, in coordinates of the unit cube.
     pub mean: [R; 3],
-    /// Unit direction of its ray.
+    /// Unit direction of the sample's ray.
     pub direction: [R; 3],
-    /// Variance across the ray, square world units.
+    /// Variance across the ray, in square world units.
     pub across: R,
-    /// Variance along the ray, square world units.
+    /// Variance along the ray, in square world units.
     pub along: R,
 }
 
 impl<R: Real> Gaussian<R> {
-    /// The Gaussian of a conical frustum (mip-NeRF, Eq. 7 and 8). `extent` is the size of the unit cube in world
-    /// units, `radius` the cone's radius at the interval's midpoint `t`, `length` the interval's length.
+    /// Computes the Gaussian of a conical frustum (mip-NeRF, Eq. 7 and 8). `extent` is the size of the unit cube in
+    /// world units, `radius` is the cone's radius at the interval's midpoint `t`, and `length` is the interval's
+    /// length.
     #[inline(always)]
     pub fn new(position: [R; 3], extent: [R; 3], radius: R, direction: [R; 3], t: R, length: R) -> Self {
         let number = R::from_f64;
         let half = number(0.5) * length;
-        // Half the length relative to the distance, squared; at most 1 for an interval in front of the camera.
+        // Square of half the length divided by the distance; at most 1 for an interval in front of the camera.
         let q = if t > R::zero() { (half / t) * (half / t) } else { R::zero() };
         let q = q.min(R::one());
         let sum = number(3.0) + q;
@@ -54,14 +55,14 @@ impl<R: Real> Gaussian<R> {
 }
 
 impl Gaussian<f32> {
-    /// Mean, variance across, direction, variance along.
+    /// Returns the Gaussian as a row: mean, variance across the ray, direction, variance along the ray.
     #[inline(always)]
     pub fn row(&self) -> [f32; CONTEXT] {
         let ([x, y, z], [u, v, w]) = (self.mean, self.direction);
         [x, y, z, self.across, u, v, w, self.along]
     }
 
-    /// The Gaussian of a [`row`](Self::row).
+    /// Returns the Gaussian of a [`row`](Self::row).
     #[inline(always)]
     pub fn of(&[x, y, z, across, u, v, w, along]: &[f32; CONTEXT]) -> Self {
         Self { mean: [x, y, z], direction: [u, v, w], across, along }
@@ -75,15 +76,15 @@ impl Gaussian<f32> {
 pub struct Plane<R> {
     /// Columns and rows of level (0, 0).
     pub sides: [usize; 2],
-    /// Levels along each axis.
+    /// Number of levels along each axis.
     pub levels: usize,
-    /// Unit vectors along a row and across the rows, world axes.
+    /// Unit vectors along a row and across the rows, in world axes.
     pub axes: [[R; 3]; 2],
-    /// Factors from the unit cube to the place along each axis, in [0, 1].
+    /// Factors that map a position in the unit cube to the position along each axis of the plane, in [0, 1].
     pub factors: [[R; 3]; 2],
-    /// Place of the cube's origin along each axis.
+    /// Position of the cube's origin along each axis of the plane.
     pub offsets: [R; 2],
-    /// Half of log2 of the variance that reads level 0, per axis.
+    /// Half of log2 of the variance at which a Gaussian reads level 0, per axis.
     pub base: [R; 2],
     /// Index of the first texel of level (0, 0) in the parameters.
     pub first: usize,
@@ -102,7 +103,8 @@ pub struct Read<R> {
     pub taps: Taps<R>,
 }
 
-/// Unit normals of the planes: 3 of a cube, 4 of an octahedron, 6 of a dodecahedron, 10 of an icosahedron.
+/// Returns the unit normals of the planes. 3, 4, 6 or 10 planes are parallel to the faces of a cube, octahedron,
+/// dodecahedron or icosahedron, respectively.
 pub fn normals(planes: u32) -> Vec<[f64; 3]> {
     let golden = f64::midpoint(1.0, 5_f64.sqrt());
     let cyclic = |[x, y, z]: [f64; 3]| [[x, y, z], [z, x, y], [y, z, x]];
@@ -122,7 +124,8 @@ fn dot<R: Real>(a: [R; 3], b: [R; 3]) -> R {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// The axes of a plane: (−n_y, n_x, 0), normalised, and n × that; the world's x and y for a normal along z.
+/// Returns the axes of a plane with normal n: first (−n_y, n_x, 0), normalised, then n × the first axis. For a normal
+/// along z they are the world's x and y.
 fn axes([x, y, z]: [f64; 3]) -> [[f64; 3]; 2] {
     let flat = x.hypot(y);
     if flat < 1e-9 {
@@ -132,7 +135,8 @@ fn axes([x, y, z]: [f64; 3]) -> [[f64; 3]; 2] {
     [first, [-z * first[1], z * first[0], x * first[1] - y * first[0]]]
 }
 
-/// The planes of a configuration, whose texels are square but for rounding. Each covers the projection of the box.
+/// Returns the planes of a configuration. Texels are square, except for rounding, and each plane covers the projection
+/// of the box.
 pub fn planes(config: &RipMapConfig, aabb: &Aabb<f64>) -> Vec<Plane<f64>> {
     let (extent, levels) = (aabb.extent(), config.levels as usize);
     let texel = aabb.longest() / f64::from(config.size);
@@ -140,7 +144,7 @@ pub fn planes(config: &RipMapConfig, aabb: &Aabb<f64>) -> Vec<Plane<f64>> {
     let plane = |normal| {
         let axes = axes(normal);
         let widths = axes.map(|axis| (0..3).map(|k| axis[k].abs() * extent[k]).sum::<f64>());
-        // A width that is a whole number of texels except for rounding keeps that number.
+        // A width that differs from a whole number of texels only by rounding keeps that number.
         let sides = widths.map(|width| {
             ((width / texel - 0.01).ceil().max(1.0) as usize).next_multiple_of(1 << (levels - 1))
         });
@@ -164,7 +168,7 @@ pub fn planes(config: &RipMapConfig, aabb: &Aabb<f64>) -> Vec<Plane<f64>> {
     normals(config.planes).into_iter().map(plane).collect()
 }
 
-/// Texels of the planes, and of all their ripmaps.
+/// Returns the number of texels of the planes, and of all their ripmaps.
 pub fn texels(config: &RipMapConfig, aabb: &Aabb<f64>) -> [usize; 2] {
     let end = |plane: &Plane<f64>| {
         [plane.first + plane.sides[0] * plane.sides[1], plane.start + plane.width() * plane.height()]
@@ -173,7 +177,7 @@ pub fn texels(config: &RipMapConfig, aabb: &Aabb<f64>) -> [usize; 2] {
 }
 
 impl Plane<f64> {
-    /// The plane in another precision.
+    /// Converts the plane to another precision.
     pub fn cast<R: Real>(&self) -> Plane<R> {
         let three = |values: [f64; 3]| values.map(R::from_f64);
         Plane {
@@ -190,38 +194,38 @@ impl Plane<f64> {
 }
 
 impl<R: Real> Plane<R> {
-    /// Texels in a row of the ripmap.
+    /// Returns the number of texels in a row of the ripmap.
     #[inline(always)]
     pub fn width(&self) -> usize {
         self.column(self.levels)
     }
 
-    /// Rows of the ripmap.
+    /// Returns the number of rows of the ripmap.
     #[inline(always)]
     pub fn height(&self) -> usize {
         self.row(self.levels)
     }
 
-    /// First column of level i of the rows' axis; the width for i = levels.
+    /// Returns the first column of level i along the rows; for i = `levels`, the width.
     #[inline(always)]
     pub fn column(&self, level: usize) -> usize {
-        // Sides halve evenly: the sum of the finer levels' columns.
+        // This is the sum of the finer levels' columns, because sides halve evenly.
         2 * self.sides[0] - ((2 * self.sides[0]) >> level)
     }
 
-    /// First row of level j of the columns' axis; the height for j = levels.
+    /// Returns the first row of level j along the columns; for j = `levels`, the height.
     #[inline(always)]
     pub fn row(&self, level: usize) -> usize {
         2 * self.sides[1] - ((2 * self.sides[1]) >> level)
     }
 
-    /// Rows and columns of a level.
+    /// Returns the numbers of rows and columns of a level.
     #[inline(always)]
     pub fn shape(&self, [i, j]: [usize; 2]) -> Shape {
         Shape { rows: self.sides[1] >> j, columns: self.sides[0] >> i }
     }
 
-    /// The place of a Gaussian along the two axes, and the levels that it blends along each: level
+    /// Returns the position of a Gaussian along the two axes, and the levels that it blends along each axis: level
     /// log2(4σ / texel), clamped to [0, levels − 1].
     #[inline(always)]
     pub fn project(&self, gaussian: &Gaussian<R>) -> ([R; 2], [LevelBlend<R>; 2]) {
@@ -235,7 +239,7 @@ impl<R: Real> Plane<R> {
         (at, blends)
     }
 
-    /// The reads of a Gaussian, at most four; the others have a weight of 0.
+    /// Returns the reads of a Gaussian, at most four; unused reads have a weight of 0.
     #[inline(always)]
     pub fn reads(&self, gaussian: &Gaussian<R>) -> [Read<R>; 4] {
         let (at, [i, j]) = self.project(gaussian);
@@ -245,7 +249,7 @@ impl<R: Real> Plane<R> {
             };
             let (up_i, up_j) = (k & 1 == 1, k & 2 == 2);
             let level_weight = level_weight(i, up_i) * level_weight(j, up_j);
-            // A level above the top has no weight; it need not exist.
+            // A level beyond the coarsest has no weight and need not exist.
             let levels = match level_weight > R::zero() {
                 true => [i.lower + usize::from(up_i), j.lower + usize::from(up_j)],
                 false => [0, 0],
@@ -254,7 +258,7 @@ impl<R: Real> Plane<R> {
         })
     }
 
-    /// Index of a texel of a level within the plane's ripmap.
+    /// Returns the index of a texel of a level within the plane's ripmap.
     #[inline(always)]
     pub fn texel(&self, [i, j]: [usize; 2], row: usize, column: usize) -> usize {
         (self.row(j) + row) * self.width() + self.column(i) + column
@@ -320,7 +324,7 @@ struct RipTwin {
     extent: [f64; 3],
 }
 
-/// The ripmap of a plane: means of pairs of rows, then means of pairs of columns.
+/// Computes the ripmap of a plane: means of pairs of rows, then means of pairs of columns.
 fn ripmap(plane: &Plane<f64>, base: &[f64]) -> Vec<f64> {
     let mut map = vec![0.0; plane.width() * plane.height() * CHANNELS];
     let place = |levels, row, column, channel| plane.texel(levels, row, column) * CHANNELS + channel;
@@ -378,7 +382,7 @@ mod tests {
 
     #[test]
     fn normals_are_unit_and_as_far_apart_as_the_solids_have_them() {
-        // The largest cosine between two of the lines.
+        // For each number of planes, the largest cosine between two of the normals, taken as lines.
         let cases = [(3, 0.0), (4, 1.0 / 3.0), (6, 1.0 / 5_f64.sqrt()), (10, 5_f64.sqrt() / 3.0)];
         for (planes, most) in cases {
             let normals = normals(planes);
@@ -459,7 +463,7 @@ mod tests {
                 assert!((texel / (2.4 / 512.0) - 1.0).abs() < 0.05, "{texel}");
             }
         }
-        // The paper's planes of a cube: 512² each, and 4 times as many texels in a full ripmap.
+        // The paper's three planes of a cube have 512² texels each, and about 4 times as many in a full ripmap.
         let [base, all] = texels(&config(3, 512, 8), &CUBE);
         assert_eq!(base, 3 * 512 * 512);
         assert_eq!(all, 3 * (1024 - 4) * (1024 - 4));
@@ -469,7 +473,7 @@ mod tests {
     fn a_level_is_four_standard_deviations_wide() {
         let plane = &planes(&config(3, 512, 8), &CUBE)[2];
         let texel = 3.0 / 512.0;
-        // Across the plane, along its first axis, and between.
+        // A ray perpendicular to the plane, and a ray along the plane's first axis.
         for (direction, expected) in [([0.0, 0.0, 1.0], [1.0, 1.0]), ([1.0, 0.0, 0.0], [3.0, 1.0])] {
             let gaussian = Gaussian {
                 mean: [0.5; 3],

@@ -1,6 +1,6 @@
-//! Factored feature tensors (Chen et al. 2022, TensoRF). A feature is a product of interpolated factors: of a plane and the
-//! line across it (VM), or of three lines (CP). The density logit is the sum of the density features; a linear map of the
-//! colour features is the input of the colour network. Radii are not used.
+//! Factored feature tensors (Chen et al. 2022, TensoRF). A feature is a product of interpolated factors: of a plane and
+//! the line perpendicular to it (VM), or of three lines (CP). The density logit is the sum of the density features; a
+//! linear map of the colour features is the input of the colour network. Radii are not used.
 
 use super::definition::{Definition, Reference, SamplePosition};
 use crate::config::Decomposition;
@@ -8,7 +8,7 @@ use crate::field::slot::{Slot, in_sequence};
 use crate::math::scalar::Real;
 use crate::{Aabb, Config};
 
-/// Features in a register; components come in multiples of it.
+/// Number of features in a vector register. The number of components is a multiple of this number.
 pub const LANES: usize = 16;
 
 /// Axes (a, b) of each plane; a runs along a row of texels. The line of a plane runs along the third axis.
@@ -23,9 +23,9 @@ pub struct Tensors;
 /// The two tensors, in the order of their features.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Its features sum up to the density logit.
+    /// Features whose sum is the density logit.
     Density,
-    /// Its features become the input of the colour network.
+    /// Features that become the input of the colour network.
     Color,
 }
 
@@ -37,14 +37,14 @@ pub const KINDS: [Kind; 2] = [Kind::Density, Kind::Color];
 pub struct Shape {
     /// How features decompose into products.
     pub decomposition: Decomposition,
-    /// Grid points along the box's axes.
+    /// Number of grid points along the box's axes.
     pub sides: [usize; 3],
-    /// Components of the density and of the colour tensor.
+    /// Number of components of the density tensor and of the colour tensor.
     pub components: [usize; 2],
 }
 
 impl Shape {
-    /// The factors of a configuration at a stage of growth.
+    /// Computes the sizes of the factors of a configuration at a stage of growth.
     pub fn new(config: &Config, stage: u32) -> Self {
         let tensor = &config.tensor;
         let sides: Vec<f64> = tensor.sides.values().collect();
@@ -59,12 +59,12 @@ impl Shape {
         }
     }
 
-    /// The factors at every stage of growth, by the number of the stage.
+    /// Returns the sizes of the factors at every stage of growth, indexed by the stage.
     pub fn all(config: &Config) -> Vec<Self> {
         (0..config.tensor.sides.values().count() as u32).map(|stage| Self::new(config, stage)).collect()
     }
 
-    /// Number of planes: 3, or none.
+    /// Returns the number of planes: 3 for VM, 0 for CP.
     pub fn planes(&self) -> usize {
         match self.decomposition {
             Decomposition::Vm => 3,
@@ -72,42 +72,44 @@ impl Shape {
         }
     }
 
-    /// Columns and rows of a plane.
+    /// Returns the numbers of columns and rows of a plane.
     #[inline(always)]
     pub fn plane(&self, plane: usize) -> [usize; 2] {
         PLANE_AXES[plane].map(|axis| self.sides[axis])
     }
 
-    /// Index of the first grid point of a plane among those of all planes; their number for plane 3.
+    /// Returns the index of a plane's first grid point among those of all planes. For plane 3, this is the total number
+    /// of grid points of planes.
     #[inline(always)]
     pub fn plane_start(&self, plane: usize) -> usize {
         (0..plane).map(|p| self.plane(p).iter().product::<usize>()).sum()
     }
 
-    /// Index of the first grid point of a line among those of all lines; their number for line 3.
+    /// Returns the index of a line's first grid point among those of all lines. For line 3, this is the total number of
+    /// grid points of lines.
     #[inline(always)]
     pub fn line_start(&self, line: usize) -> usize {
         (0..line).map(|l| self.sides[LINE_AXES[l]]).sum()
     }
 
-    /// Components of a tensor.
+    /// Returns the number of components of a tensor.
     pub fn components(&self, kind: Kind) -> usize {
         self.components[kind as usize]
     }
 
-    /// Features of a tensor: one per component and plane, or one per component.
+    /// Returns the number of features of a tensor: one per component and plane, or one per component.
     pub fn features(&self, kind: Kind) -> usize {
         self.components(kind) * self.planes().max(1)
     }
 
-    /// Floats of a slot of this shape.
+    /// Returns the number of floats of a slot of this shape.
     fn floats(&self, kind: Kind, planes: bool) -> usize {
         let points = if planes { self.plane_start(3) } else { self.line_start(3) };
         points * self.components(kind)
     }
 }
 
-/// Returns the grid point before a place along an axis of `side` points, and the weight of the point after it. The
+/// Returns the grid point before a position along an axis of `side` points, and the weight of the point after it. The
 /// corners of the box are the first and the last point.
 #[inline(always)]
 pub fn between<R: Real>(side: usize, place: R) -> (usize, R) {
@@ -117,7 +119,7 @@ pub fn between<R: Real>(side: usize, place: R) -> (usize, R) {
     (lower.to_usize().unwrap_or(0), at - lower)
 }
 
-/// The tensor and the kind of factor of a slot.
+/// Returns the tensor of a slot, and true if the slot's factors are planes.
 fn part(slot: &Slot) -> (Kind, bool) {
     let kind = if slot.name.starts_with("density") { Kind::Density } else { Kind::Color };
     (kind, slot.name.ends_with("planes"))
@@ -221,7 +223,7 @@ impl Definition for Tensors {
         let grown = stage as usize + 1 < config.tensor.sides.values().count();
         let weight = if grown { later } else { first };
         match kind {
-            // The sum of the means of the three planes, or lines.
+            // The term is the sum of the means of the three planes or, in the slot of lines, of the three lines.
             Kind::Density => 3.0 * weight / Shape::new(config, stage).floats(kind, planes) as f64,
             Kind::Color => 0.0,
         }
@@ -236,8 +238,8 @@ impl Definition for Tensors {
     }
 }
 
-/// The slots of the encoder with their ranges in the parameters, in order: for each tensor its planes, if there are any,
-/// and lines.
+/// Returns the slots of the encoder with their ranges in the parameters, in order: for each tensor its planes, if there
+/// are any, then its lines.
 pub fn slots(config: &Config) -> Vec<Slot> {
     in_sequence(Tensors.slots(config))
 }
@@ -245,12 +247,12 @@ pub fn slots(config: &Config) -> Vec<Slot> {
 /// The tensors in f64.
 struct TensorTwin {
     shape: Shape,
-    /// The slots' values.
+    /// Values of the slots.
     values: Vec<Vec<f64>>,
 }
 
 impl TensorTwin {
-    /// A component of a line at a place.
+    /// Returns a component of a line at a position.
     fn line(&self, line: usize, values: &[f64], width: usize, component: usize, at: [f64; 3]) -> f64 {
         let axis = LINE_AXES[line];
         let (lower, upper) = between(self.shape.sides[axis], at[axis]);
@@ -258,7 +260,7 @@ impl TensorTwin {
         (1.0 - upper) * value(lower) + upper * value(lower + 1)
     }
 
-    /// A component of a plane at a place.
+    /// Returns a component of a plane at a position.
     fn plane(&self, plane: usize, values: &[f64], width: usize, component: usize, at: [f64; 3]) -> f64 {
         let [columns, rows] = self.shape.plane(plane);
         let [a, b] = PLANE_AXES[plane].map(|axis| at[axis]);
@@ -320,14 +322,15 @@ mod tests {
         let floats: usize = Tensors.slots(&config).iter().map(|slot| slot.range.len()).sum();
         assert_eq!(floats, 3 * (300 * 300 + 300) * 64);
         assert_eq!(Shape::new(&config, 1).sides, [128; 3]);
-        // Cubic cells in a box that is no cube.
+        // Cubic cells in a box that is not a cube.
         (config.scene.aabb_min, config.scene.aabb_max) = ([-1.0, -0.5, -0.5], [1.0, 0.5, 0.5]);
         let [x, y, z] = Shape::new(&config, 0).sides;
         assert!(y == z && (2 * y..=2 * y + 1).contains(&x), "{x} {y}");
         assert!(((x * y * z) as f64 / 300_f64.powi(3) - 1.0).abs() < 0.02);
     }
 
-    /// The dense tensor made of the factors, interpolated trilinearly, is the sum over planes of VM at every place.
+    /// Checks that the sum of the features at any position is the trilinear interpolation of the sums at the grid
+    /// points, as for a dense tensor.
     #[test]
     fn features_sum_up_to_the_dense_tensor() {
         for decomposition in [Decomposition::Vm, Decomposition::Cp] {

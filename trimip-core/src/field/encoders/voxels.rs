@@ -18,14 +18,15 @@ pub const WIDTH: usize = 4;
 /// The grid at a stage of growth.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Grid points along the box's axes; the first and the last lie on its border. x is contiguous, z is outermost.
+    /// Number of grid points along the box's axes; the first and the last point lie on the border of the box. x is
+    /// contiguous, z is outermost.
     pub sides: [usize; 3],
-    /// Spherical harmonics of a colour.
+    /// Number of spherical harmonics of a colour channel.
     pub harmonics: usize,
 }
 
 impl Shape {
-    /// The grid of a configuration at a stage of growth.
+    /// Creates the grid of a configuration at a stage of growth.
     pub fn new(config: &Config, stage: u32) -> Self {
         let sides: Vec<f64> = config.voxels.sides.values().collect();
         let side = sides[sides.len().saturating_sub(1 + stage as usize)];
@@ -38,22 +39,22 @@ impl Shape {
         }
     }
 
-    /// The grid at every stage of growth, by the number of the stage.
+    /// Returns the grid at every stage of growth, indexed by the stage.
     pub fn all(config: &Config) -> Vec<Self> {
         (0..config.voxels.sides.values().count() as u32).map(|stage| Self::new(config, stage)).collect()
     }
 
-    /// Number of grid points.
+    /// Returns the number of grid points.
     pub fn points(&self) -> usize {
         self.sides.iter().product()
     }
 
-    /// Floats of a grid point's colours: the harmonics of red, then of green and of blue.
+    /// Returns the number of floats of a grid point's colours: the harmonics of red, then of green and of blue.
     pub fn colors(&self) -> usize {
         3 * self.harmonics
     }
 
-    /// The grid points around a place and their weights; x changes first.
+    /// Returns the grid points around a position and their weights; x varies fastest.
     #[inline(always)]
     pub fn corners<R: Real>(&self, place: [R; 3]) -> [(usize, R); 8] {
         let [x, y, z] = std::array::from_fn(|axis| between(self.sides[axis], place[axis]));
@@ -67,7 +68,7 @@ impl Shape {
     }
 }
 
-/// Floats of a grid point in a slot.
+/// Returns the number of floats of a grid point in a slot.
 fn width(shape: &Shape, slot: &Slot) -> usize {
     if slot.name.starts_with("density") { 1 } else { shape.colors() }
 }
@@ -139,7 +140,7 @@ impl Definition for Voxels {
     }
 }
 
-/// The slots of the densities and of the colours with their ranges in the parameters, in order.
+/// Returns the slots of the densities and of the colours with their ranges in the parameters, in order.
 pub fn slots(config: &Config) -> Vec<Slot> {
     in_sequence(Voxels.slots(config))
 }

@@ -47,7 +47,7 @@ mod tests {
         let config = LossConfig { padding: 1e-3, ..Config::default().loss };
         let value = |d: f32| Charbonnier.evaluate(&config, d).0;
         assert_eq!(value(0.0), 1e-3);
-        // ε + d²/(2ε), and |d|.
+        // The value is about ε + d²/(2ε) for a small d, and about |d| for a large d.
         assert!((value(1e-4) - (1e-3 + 0.5e-5)).abs() < 2e-8);
         assert!((value(-0.5) - 0.5).abs() < 2e-6);
         assert_eq!(Charbonnier.evaluate(&config, -0.5).1, -Charbonnier.evaluate(&config, 0.5).1);

@@ -1,9 +1,10 @@
-//! The depth term of a ray: its weights should lie where a point of the scene is known to be (DS-NeRF, Deng et al. 2022,
-//! arXiv 2107.02791, with a share of wrong points). L = −ln((π + S) / (1 + π)), S = Σ w_i·exp(−(t_i − D)² / (2·(s² + δ_i²))).
-//! Letters: w compositing weight of a sample, t its distance, δ its length, D the distance of the point, s its standard deviation,
-//! all in world units. S is the probability that the ray ends at the point, π (`loss.depth_outliers`) the odds that the point is
-//! wrong: the derivative by S is at most 1/π, so that a wrong point moves little. `loss.depth` is the term's weight, a schedule.
-//! Pixels without a point have no such term.
+//! The depth term of a ray: the compositing weights should lie where a point of the scene is known to be (DS-NeRF, Deng
+//! et al. 2022, arXiv 2107.02791, extended by a probability that the point is wrong). L = −ln((π + S) / (1 + π)), S = Σ
+//! w_i·exp(−(t_i − D)² / (2·(s² + δ_i²))). Symbols: w is the compositing weight of a sample, t the sample's distance, δ
+//! its length, D the distance of the point and s the point's standard deviation; lengths are in world units. S is the
+//! probability that the ray ends at the point, π (`loss.depth_outliers`) the odds that the point is wrong: the
+//! derivative with respect to S is at most 1/π, so a wrong point has little influence. `loss.depth` is the schedule of
+//! the term's weight. Pixels without a point do not have this term.
 
 use super::definition::{ConeSamples, Definition, RaySample, RayTerm};
 use crate::config::schedule::Schedule;
@@ -66,9 +67,9 @@ impl RayTerm for Depth {
     }
 }
 
-/// The loss of samples, front to back, of a ray whose point has this distance and standard deviation; `by_depth[i]` becomes
-/// ∂L/∂x_i. S acts like a channel of the pixel in which sample i shows its Gaussian and the background 0: see
-/// [`composite_gradient`](crate::math::compositing::composite_gradient).
+/// Returns the loss of a ray's samples, front to back; `point` is the distance and standard deviation of the ray's
+/// point, and `by_depth[i]` becomes ∂L/∂x_i. S is composited like a colour channel of the pixel: the colour of sample i
+/// is its Gaussian, and the background is 0. See [`composite_gradient`](crate::math::compositing::composite_gradient).
 #[inline]
 pub fn depth<R: Real>(samples: &[RaySample<R>], point: [R; 2], odds: R, by_depth: &mut [R]) -> R {
     let mut total = R::zero();
@@ -105,7 +106,7 @@ fn walk<R: Real>(
 mod tests {
     use super::*;
 
-    /// A wall of one sample at distance `t` behind thin air.
+    /// Returns a wall of one sample at distance `t` behind thin air.
     fn wall(t: f64) -> Vec<RaySample<f64>> {
         let sample = |i: u32| {
             let at = 1.0 + 0.1 * f64::from(i);
@@ -124,15 +125,15 @@ mod tests {
     #[test]
     fn a_ray_that_ends_at_its_point_has_no_loss() {
         assert!(found(&wall(3.0), 3.0).0 < 0.03, "{}", found(&wall(3.0), 3.0).0);
-        // −ln(0.1 / 1.1) where no weight is near the point, however far it is away.
+        // The loss is −ln(0.1 / 1.1) if no weight is near the point, however far away the point is.
         for distance in [2.0, 4.5, 1e9] {
             let value = found(&wall(3.0), distance).0;
             assert!((value - 11.0_f64.ln()).abs() < 0.05, "{distance}: {value}");
         }
     }
 
-    /// The gradient of an opaque sample goes to 0, and so does its product with the depth: no rounding error may make it
-    /// grow.
+    /// Checks that rounding errors do not enlarge the gradient of an opaque sample: the gradient goes to 0, and so does
+    /// its product with the depth.
     #[test]
     fn opaque_samples_have_no_gradient() {
         let sample = |i: u32, depth| {

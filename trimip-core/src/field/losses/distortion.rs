@@ -1,6 +1,7 @@
-//! The distortion loss of a ray (mip-NeRF 360, Barron et al. 2022, Eq. 15): L = Σ_ij w_i·w_j·|m_i − m_j| + ⅓·Σ_i w_i²·d_i. It is
-//! small where the weights of a ray are close together. Letters: w compositing weight of a sample, m its place along the ray, d
-//! its width, both as parameters of the ray in units of the box's longest side. `loss.distortion` is its weight.
+//! The distortion loss of a ray (mip-NeRF 360, Barron et al. 2022, Eq. 15): L = Σ_ij w_i·w_j·|m_i − m_j| + ⅓·Σ_i
+//! w_i²·d_i. The loss is small if the weights of a ray are concentrated. Symbols: w is the compositing weight of a
+//! sample, m the ray parameter of the sample's midpoint and d the sample's width; m and d are in units of the box's
+//! longest side. `loss.distortion` is the weight of the term.
 
 use super::definition::{ConeSamples, Definition, RaySample, RayTerm};
 use crate::{
@@ -47,12 +48,15 @@ impl RayTerm for Distortion {
     }
 }
 
-/// The loss of samples, front to back; calls `out(i, ∂L/∂x_i)` in their order. Without samples it is 0.
+/// Returns the loss of samples, front to back, and calls `out(i, ∂L/∂x_i)` in the order of the samples. Without samples
+/// the loss is 0.
 ///
-/// The places are sorted, so sums over what lies in front of and behind a sample follow from those of its neighbour (Sun et al.
-/// 2022, DVGO v2): ∂L/∂w_i = 2·Σ_j w_j·|m_i − m_j| + ⅔·w_i·d_i. L then acts like a channel of the pixel in which a sample shows
-/// ∂L/∂w_i and the background 0, with the value Σ w_i·∂L/∂w_i = 2·L: see
-/// [`composite_gradient`](crate::math::compositing::composite_gradient), also for the bound of what a sample hides.
+/// The positions m are sorted, so the sums over the samples in front of and behind a sample follow from the sums of its
+/// neighbour (Sun et al. 2022, DVGO v2): ∂L/∂w_i = 2·Σ_j w_j·|m_i − m_j| + ⅔·w_i·d_i. The derivatives with respect to
+/// x_i are then those of a colour channel of the pixel in which sample i has the colour ∂L/∂w_i and the background is
+/// 0. The value of this channel is Σ w_i·∂L/∂w_i = 2·L. See
+/// [`composite_gradient`](crate::math::compositing::composite_gradient), also for the bound on the colour that a sample
+/// hides.
 #[inline]
 pub fn distortion<R: Real>(samples: &[RaySample<R>], mut out: impl FnMut(usize, R)) -> R {
     let (two, third) = (R::from_f64(2.0), R::from_f64(1.0 / 3.0));
@@ -89,7 +93,7 @@ struct Walk<R> {
     weight: R,
     /// Transmittance behind the sample.
     transmittance: R,
-    /// Optical depth up to there.
+    /// Optical depth of the samples up to and including this one.
     depth: R,
     place: R,
     /// m_i − m_{i−1}; 0 at the first sample.
@@ -138,7 +142,7 @@ mod tests {
     use super::*;
     use crate::engine::batch::Target;
 
-    /// Samples of all thicknesses at uneven places; two share a place.
+    /// Returns samples of all thicknesses at uneven positions; two samples share a position.
     fn ray() -> Vec<RaySample<f64>> {
         let part = |i: u32| {
             let x = f64::from(i);
@@ -161,7 +165,7 @@ mod tests {
         (0..parts.len()).map(|i| (-before(i)).exp() * (1.0 - (-parts[i].depth).exp())).collect()
     }
 
-    /// Eq. 15 as written, over all pairs.
+    /// Computes Eq. 15 as written, over all pairs.
     fn literal(samples: &[RaySample<f64>]) -> f64 {
         let target = &Target::default();
         Distortion.reference(&Config::default().loss, &ConeSamples { target, samples })
@@ -191,7 +195,7 @@ mod tests {
             };
             let expected = (at(h) - at(-h)) / (2.0 * h);
             assert!((gradient[i] - expected).abs() < 1e-9, "{i}: {}, not {expected}", gradient[i]);
-            // The chain as written: ∂w_i/∂x_i = T_{i+1}, ∂w_j/∂x_i = −w_j behind it.
+            // The chain rule as written: ∂w_i/∂x_i = T_{i+1}, and ∂w_j/∂x_i = −w_j for every sample j behind sample i.
             let by_weight = |i: usize| {
                 let pairs = |j: usize| w[j] * (parts[i].place - parts[j].place).abs();
                 2.0 * (0..w.len()).map(pairs).sum::<f64>() + 2.0 / 3.0 * w[i] * parts[i].width
@@ -212,7 +216,7 @@ mod tests {
         assert!((gradient[0] - 2.0 / 3.0 * w * 0.03 * (1.0 - w)).abs() < 1e-17);
     }
 
-    /// Moving all samples changes nothing; stretching a ray stretches its loss.
+    /// Checks that moving all samples changes nothing, and that stretching a ray stretches its loss.
     #[test]
     fn only_differences_of_places_count() {
         let (value, gradient) = found(&ray());
@@ -226,8 +230,8 @@ mod tests {
         }
     }
 
-    /// The gradient of an opaque sample goes to 0, and so does its product with the depth: no rounding error may make it
-    /// grow.
+    /// Checks that rounding errors do not enlarge the gradient of an opaque sample: the gradient goes to 0, and so does
+    /// its product with the depth.
     #[test]
     fn opaque_samples_have_no_gradient() {
         let part =

@@ -1,5 +1,5 @@
-//! Exposure of photographs as an adjustment of the compared colour, for `loss.exposure = "gain"`: the part of a pixel's
-//! colour that is the photograph's own is multiplied by the photograph's gain of each channel.
+//! Exposure of photographs as an adjustment of the compared colour, for `loss.exposure = "gain"`: in each channel, the
+//! part of a pixel's colour that is not background is multiplied by the photograph's gain.
 //! [`exposure`](crate::engine::exposure) trains the gains.
 
 use super::definition::{Adjustment, Definition};
@@ -9,8 +9,8 @@ use crate::{Config, math::scalar::Real};
 /// One gain of each channel of each photograph.
 pub struct Gains;
 
-/// Returns the colour that is compared with a photograph: `gain` times the photograph's own part of `shown`, plus
-/// `behind`. `behind` is the part that comes from the background behind the photograph's transparent part, which no
+/// Returns the colour that is compared with a photograph: `gain` times the part of `shown` that is not background, plus
+/// `behind`. `behind` is the part of `shown` that comes from the background behind a transparent photograph, which no
 /// camera exposed.
 #[inline]
 pub fn exposed<R: Real>(shown: [R; 3], behind: [R; 3], gain: [R; 3]) -> [R; 3] {

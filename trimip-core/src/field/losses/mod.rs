@@ -1,5 +1,5 @@
-//! The terms of the loss by name. A term is a file here (its declaration, its formula, its equation in f64), WGSL in a GPU
-//! backend, a line in the list of its kind, and its settings in [`LossConfig`].
+//! The terms of the loss by name. A term consists of a file here (its declaration, its formula, its equation in f64),
+//! WGSL in a GPU backend, a line in the list of its kind, and its settings in [`LossConfig`].
 //!
 //! The loss of a pixel is the mean over its channels of the photometric term, plus weight · value of every other enabled
 //! term. The loss of a step is the mean over its pixels, weighted by their areas.
@@ -22,10 +22,10 @@ use crate::config::{LossConfig, Photometric};
 macro_rules! photometric {
     ($($kind:ident => $term:expr),* $(,)?) => {
         impl Photometric {
-            /// All of them.
+            /// All photometric terms.
             pub const ALL: &[Self] = &[$(Self::$kind),*];
 
-            /// The term's declaration.
+            /// Returns the term's declaration.
             pub fn term(self) -> &'static dyn PhotometricTerm {
                 match self { $(Self::$kind => &$term),* }
             }
@@ -53,7 +53,7 @@ pub const RAY_TERMS: &[&dyn RayTerm] = &[&distortion::Distortion, &depth::Depth]
 /// The adjustments of the colour that is compared.
 pub const ADJUSTMENTS: &[&dyn Adjustment] = &[&exposure::Gains];
 
-/// The terms that are enabled at `progress` in [0, 1] of a run, with their weights.
+/// Returns the terms that are enabled at `progress` in [0, 1] of a run, with their weights.
 pub fn at_work<T: Definition + ?Sized>(
     terms: &[&'static T],
     config: &LossConfig,
@@ -63,7 +63,7 @@ pub fn at_work<T: Definition + ?Sized>(
     weighted.filter(|(_, weight)| *weight > 0.0).collect()
 }
 
-/// All terms, of every kind.
+/// Returns all terms, of every kind.
 pub fn all() -> Vec<&'static dyn Definition> {
     let mut all: Vec<&'static dyn Definition> = Vec::new();
     all.extend(Photometric::ALL.iter().map(|kind| kind.term() as &dyn Definition));

@@ -1,5 +1,5 @@
-//! The opacity of a pixel against the alpha of its photograph, by smooth-L1 with the β of the colour. `loss.opacity` is its
-//! weight.
+//! The opacity term compares the opacity of a pixel with the alpha of its photograph, by smooth-L1 with the same β as
+//! colours. `loss.opacity` is the weight of the term.
 
 use super::definition::{Definition, PixelTerm};
 use super::smooth_l1::{self, smooth_l1};

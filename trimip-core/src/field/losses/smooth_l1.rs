@@ -1,5 +1,5 @@
-//! Smooth-L1 of a channel (Girshick 2015; the paper's loss): d²/(2β) within β, |d| − β/2 beyond. d is the difference of a
-//! channel, β (`loss.beta`) the size up to which it is quadratic.
+//! Smooth-L1 of a channel (Girshick 2015; the paper's loss): d²/(2β) for |d| < β, otherwise |d| − β/2. d is the
+//! difference of a channel, β (`loss.beta`) the size up to which the loss is quadratic.
 
 use super::definition::{Definition, PhotometricTerm};
 use crate::config::{LossConfig, Photometric};
@@ -8,7 +8,7 @@ use crate::{Config, math::scalar::Real};
 /// Smooth-L1 as the photometric term.
 pub struct SmoothL1;
 
-/// Value and derivative at `difference`.
+/// Returns value and derivative at `difference`.
 #[inline]
 pub fn smooth_l1<R: Real>(difference: R, beta: R) -> (R, R) {
     let half = R::from_f64(0.5);
@@ -20,7 +20,7 @@ pub fn smooth_l1<R: Real>(difference: R, beta: R) -> (R, R) {
     }
 }
 
-/// The value by its equation as written.
+/// Returns the value according to the equation as written.
 pub fn reference(difference: f64, beta: f64) -> f64 {
     let size = difference.abs();
     if size < beta { size * size / (2.0 * beta) } else { size - beta / 2.0 }

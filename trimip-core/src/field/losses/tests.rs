@@ -1,4 +1,4 @@
-//! Every registered term against its equation: values, and derivatives by central differences.
+//! Checks every registered term against its equation: values, and derivatives by central differences.
 
 use super::*;
 use crate::geometry::elements::Target;
@@ -7,7 +7,7 @@ use crate::{Config, Pixel};
 /// Half width of a central difference.
 const STEP: f64 = 1e-6;
 
-/// Error of a value or derivative of order 1 in f32.
+/// Tolerated error, in f32, of a value or derivative of order 1.
 const TOLERANCE: f64 = 2e-6;
 
 fn example(term: &dyn Definition) -> LossConfig {

@@ -1,5 +1,6 @@
-//! The points at which a sample reads the grid (Zip-NeRF, Sections 2 and 3): one, or six on a helix whose mean and variance
-//! along the ray are those of the conical frustum; and the weight of a level's features for a sample wider than its cells.
+//! The points at which a sample reads the grid (Zip-NeRF, Sections 2 and 3): one point, or six points on a helix whose
+//! mean and variance along the ray are those of the conical frustum. Also the weight of a level's features for a sample
+//! that is wider than the level's cells.
 
 use super::Level;
 use crate::Aabb;
@@ -7,27 +8,27 @@ use crate::config::HashGridConfig;
 use crate::field::encoders::definition::SamplePosition;
 use crate::math::{basis::across, scalar::Real};
 
-/// Turn of each point around the ray, in sixths of a circle.
+/// Angle of each point around the ray, in sixths of a full turn.
 pub const TURNS: [f64; 6] = [0.0, 2.0, 4.0, 3.0, 5.0, 1.0];
 
-/// Deviation in cells below which the weight is 1: the error function's argument is above 4.
+/// Standard deviation, in cells, below which the weight is 1, because the error function's argument is then above 4.
 const WITHIN: f64 = 0.088;
 
-/// Points of a sample.
+/// The points of a sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Points<R> {
-    /// 1 or 6.
+    /// Number of points: 1 or 6.
     pub count: usize,
-    /// True to weigh down features of cells narrower than the sample.
+    /// True to down-weight features of cells that are narrower than the sample.
     pub downweight: bool,
-    /// Size of the box, world units.
+    /// Size of the box, in world units.
     pub extent: [R; 3],
-    /// Its longest side.
+    /// Longest side of the box.
     pub longest: R,
 }
 
 impl<R: Real> Points<R> {
-    /// The points of a configuration.
+    /// Creates the points of a configuration.
     pub fn new(config: &HashGridConfig, aabb: &Aabb<f64>) -> Self {
         Self {
             count: config.points as usize,
@@ -37,12 +38,13 @@ impl<R: Real> Points<R> {
         }
     }
 
-    /// True if a sample reads the grid at its centre with full weight, as instant-ngp does.
+    /// Returns true if a sample reads the grid at its centre with full weight, as instant-ngp does.
     pub fn is_plain(&self) -> bool {
         self.count == 1 && !self.downweight
     }
 
-    /// Point `j` of a sample: its place in the unit cube, and the standard deviation around it in longest sides of the box.
+    /// Returns point `j` of a sample: its position in the unit cube, and the standard deviation of the Gaussian around
+    /// it, as a fraction of the box's longest side.
     #[inline(always)]
     pub fn point(&self, j: usize, at: &SamplePosition<R>) -> [R; 4] {
         let SamplePosition { position, radius, direction, t, length } = *at;
@@ -72,14 +74,14 @@ impl<R: Real> Points<R> {
         [x, y, z, half_root * radius / self.longest]
     }
 
-    /// True if [`level_weight`](Self::level_weight) is the same at this deviation and below it: cells are so wide that a sample
-    /// does not leave them.
+    /// Returns true if [`level_weight`](Self::level_weight) is the same at this deviation as at all smaller ones: cells
+    /// are so wide that a sample does not leave them.
     #[inline(always)]
     pub fn is_within(&self, level: &Level, deviation: R) -> bool {
         !self.downweight || deviation * R::from_f64(f64::from(level.scale) + 1.0) < R::from_f64(WITHIN)
     }
 
-    /// Weight of a level's features at one point of a sample, divided by the number of points.
+    /// Returns the weight of a level's features at one point of a sample, divided by the number of points.
     #[inline(always)]
     pub fn level_weight(&self, level: &Level, deviation: R) -> R {
         let level_weight = if self.downweight { level_weight(level.scale, deviation) } else { R::one() };
@@ -87,20 +89,21 @@ impl<R: Real> Points<R> {
     }
 }
 
-/// Weight erf(1/√(8σ²n²)) of a grid of n = `scale` + 1 cells for a Gaussian of standard deviation σ.
+/// Returns the weight erf(1/√(8σ²n²)) of a Gaussian of standard deviation σ in a grid of n = `scale` + 1 cells.
 #[inline(always)]
 pub fn level_weight<R: Real>(scale: f32, deviation: R) -> R {
     let cells = deviation * R::from_f64(f64::from(scale) + 1.0);
     let weight = erf(R::from_f64(8_f64.sqrt().recip()) / cells);
-    // Below this deviation the error function is 1. The choice between two computed values is a vector instruction.
+    // Below this deviation the error function is 1. Both values are computed, so that the choice between them is a
+    // vector instruction.
     if !(cells > R::from_f64(1e-3)) { R::one() } else { weight }
 }
 
-/// The error function of a number above zero, within 3e-7 (Abramowitz and Stegun, 7.1.28). It needs only products and a
-/// quotient, which every processor computes for many numbers at once.
+/// Computes the error function of a number above zero, within 3e-7 (Abramowitz and Stegun, 7.1.28). The formula needs
+/// only sums, products and a quotient, which every processor computes for many numbers at once.
 #[inline(always)]
 fn erf<R: Real>(x: R) -> R {
-    // From there on the function differs from 1 by less than 2e-8.
+    // Above 4 the function differs from 1 by less than 2e-8.
     let x = x.min(R::from_f64(4.0));
     let factors = [4.306_38e-5, 2.765_672e-4, 1.520_143e-4, 9.270_527_2e-3, 4.228_201_23e-2, 7.052_307_84e-2];
     let sum = factors.into_iter().fold(R::zero(), |sum, factor| (sum + R::from_f64(factor)) * x);
@@ -120,7 +123,8 @@ mod tests {
 
     #[test]
     fn levels_weigh_as_much_as_the_gaussian_stays_in_a_cell() {
-        // Published: the mass within half a cell of a Gaussian whose deviation is half a cell, or a cell.
+        // The published weight is the mass of a Gaussian within half a cell of its mean. The standard deviation is half
+        // a cell here, then a whole cell.
         assert!((level_weight(63.0, 0.5 / 64.0) - 0.682_689_f64).abs() < 1e-6);
         assert!((level_weight(63.0, 1.0 / 64.0) - 0.382_925_f64).abs() < 1e-6);
         assert_eq!(level_weight(63.0, 0.0_f64), 1.0);
@@ -137,7 +141,8 @@ mod tests {
         assert!(within.iter().all(|&deviation| points.level_weight(&level, deviation) == whole));
     }
 
-    /// Mean and variance along the ray, and the trace of the covariance across it, are those of the frustum.
+    /// Checks that mean and variance along the ray, and the trace of the covariance across the ray, equal those of the
+    /// frustum.
     #[test]
     fn six_points_have_the_moments_of_the_frustum() {
         let direction = [2.0 / 3.0, -1.0 / 3.0, 2.0 / 3.0_f64];

@@ -76,7 +76,7 @@ impl Definition for Planes {
 /// The planes in f64.
 struct PlanesTwin {
     pyramid: Pyramid,
-    /// Level 0, then the levels above it in one array.
+    /// Level 0; `derived` holds the levels above it in one array.
     base: Vec<f64>,
     derived: Vec<f64>,
     /// True if the level of a sample is its last feature.

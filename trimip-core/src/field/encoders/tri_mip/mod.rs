@@ -22,10 +22,10 @@ pub const CHANNELS: usize = 16;
 /// Features that a sample reads: the three planes' channels, concatenated.
 pub const FEATURES: usize = 3 * CHANNELS;
 
-/// Levels per unit of the networks' level input: levels 0 to 8 map to inputs 0 to 2.
+/// Number of levels per unit of the networks' level input: levels 0 to 8 map to inputs 0 to 2.
 pub const LEVELS_PER_UNIT: f64 = 4.0;
 
-/// Largest level input of the networks, of either sign.
+/// Largest absolute value of the networks' level input.
 pub const MOST_LEVEL_INPUT: f64 = 2.0;
 
 /// Sizes and offsets of the planes' levels. Level 0 of the three planes, one after the other, is the parameter
@@ -33,11 +33,11 @@ pub const MOST_LEVEL_INPUT: f64 = 2.0;
 /// plane has `sides[b] >> l` rows of `sides[a] >> l` texels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pyramid {
-    /// Texels along the box's x, y and z at level 0.
+    /// Number of texels along the box's x, y and z at level 0.
     pub sides: [usize; 3],
     /// Number of levels, including the base; 1 without a mipmap.
     pub levels: usize,
-    /// log2 of the world radius of level 0, per plane: r̈, minus `encoder.level_bias` levels.
+    /// For each plane, log2 of the world radius of level 0: log2 r̈ minus `encoder.level_bias`.
     pub log2_base_radius: [f64; 3],
 }
 
@@ -51,13 +51,13 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Number of texels.
+    /// Returns the number of texels.
     #[inline(always)]
     pub fn texels(self) -> usize {
         self.rows * self.columns
     }
 
-    /// Floats in a row.
+    /// Returns the number of floats in a row.
     #[inline(always)]
     pub fn row(self) -> usize {
         self.columns * CHANNELS
@@ -84,22 +84,23 @@ pub struct LevelBlend<R> {
     pub fraction: R,
 }
 
-/// Texels along the box's axes at level 0. There are `plane_size` along each axis or, with shape `box`, along the
-/// longest; the other axes get the number that makes texels square, rounded up so that they halve evenly on every level.
+/// Returns the number of texels along the box's axes at level 0: `plane_size` along each axis or, with shape `box`,
+/// along the longest axis. The other axes then get the number that makes texels square, rounded up so that it halves
+/// evenly on every level.
 pub fn sides(config: &EncoderConfig, aabb: &Aabb<f64>) -> [usize; 3] {
     let size = config.plane_size as usize;
     match config.shape {
         PlaneShape::Square => [size; 3],
         PlaneShape::Box => {
             let (unit, texel) = (config.texel_unit() as usize, aabb.longest() / size as f64);
-            // A side that is a whole number of texels except for rounding keeps that number.
+            // A side that differs from a whole number of texels only by rounding keeps that number.
             aabb.extent().map(|side| ((side / texel - 0.01).ceil().max(1.0) as usize).next_multiple_of(unit))
         }
     }
 }
 
 impl Pyramid {
-    /// The planes of a configuration over the box `aabb`.
+    /// Creates the planes of a configuration over the box `aabb`.
     pub fn new(config: &EncoderConfig, aabb: &Aabb<f64>) -> Self {
         let (extent, sides) = (aabb.extent(), sides(config, aabb));
         let log2_base_radius = PLANE_AXES.map(|[a, b]| {
@@ -114,7 +115,7 @@ impl Pyramid {
         Self { sides, levels: if config.mipmap { config.levels as usize } else { 1 }, log2_base_radius }
     }
 
-    /// The same planes with their sides halved `halvings` times: the pyramid without its finest levels.
+    /// Returns the same planes with their sides halved `halvings` times: the pyramid without its finest levels.
     pub fn halved(&self, halvings: u32) -> Self {
         Self {
             sides: self.sides.map(|side| side >> halvings),
@@ -123,24 +124,25 @@ impl Pyramid {
         }
     }
 
-    /// Rows and columns of `level` of `plane`.
+    /// Returns the numbers of rows and columns of `level` of `plane`.
     #[inline(always)]
     pub fn shape(&self, level: usize, plane: usize) -> Shape {
         let [a, b] = PLANE_AXES[plane];
         Shape { rows: self.sides[b] >> level, columns: self.sides[a] >> level }
     }
 
-    /// Texels of all planes on `level`.
+    /// Returns the number of texels of all planes on `level`.
     pub fn texels(&self, level: usize) -> usize {
         (0..3).map(|plane| self.shape(level, plane).texels()).sum()
     }
 
-    /// Floats of level 0 of all planes, which are the parameters.
+    /// Returns the number of floats of level 0 of all planes, which are the parameters.
     pub fn base_len(&self) -> usize {
         self.texels(0) * CHANNELS
     }
 
-    /// Index of the first float of `level` of `plane`, in the parameters for level 0, else in the derived array.
+    /// Returns the index of the first float of `level` of `plane`: in the parameters for level 0, otherwise in the
+    /// derived array.
     #[inline]
     pub fn offset(&self, level: usize, plane: usize) -> usize {
         let below: usize = (1..level).map(|l| self.texels(l)).sum();
@@ -148,32 +150,32 @@ impl Pyramid {
         (below + before) * CHANNELS
     }
 
-    /// Range of the floats of `level` of `plane`; see [`Pyramid::offset`].
+    /// Returns the range of the floats of `level` of `plane`; see [`Pyramid::offset`].
     pub fn range(&self, level: usize, plane: usize) -> Range<usize> {
         let start = self.offset(level, plane);
         start..start + self.shape(level, plane).texels() * CHANNELS
     }
 
-    /// Number of floats of all derived levels.
+    /// Returns the number of floats of all derived levels.
     pub fn derived_len(&self) -> usize {
         (1..self.levels).map(|l| self.texels(l)).sum::<usize>() * CHANNELS
     }
 
-    /// The levels that a sphere reads on `plane` (Eq. 5): l = log2(r / r̈), clamped to [0, levels − 1]. `log2_radius`
-    /// is log2 of the radius in world units. A zero or NaN radius reads level 0.
+    /// Returns the levels that a sphere reads on `plane` (Eq. 5): l = log2(r / r̈), clamped to [0, levels − 1].
+    /// `log2_radius` is log2 of the radius in world units. A zero or NaN radius reads level 0.
     #[inline]
     pub fn blend<R: Real>(&self, plane: usize, log2_radius: R) -> LevelBlend<R> {
         LevelBlend::new(log2_radius - R::from_f64(self.log2_base_radius[plane]), self.levels)
     }
 
-    /// The mean of log2 r̈ over the planes: the reference of [`level_input`].
+    /// Returns the mean of log2 r̈ over the planes: the reference of [`level_input`].
     pub fn reference(&self) -> f64 {
         self.log2_base_radius.iter().sum::<f64>() / 3.0
     }
 }
 
 impl<R: Real> LevelBlend<R> {
-    /// The blend at `level`, clamped to [0, `levels` − 1]. NaN reads level 0.
+    /// Returns the blend at `level`, clamped to [0, `levels` − 1]. NaN reads level 0.
     #[inline(always)]
     pub fn new(level: R, levels: usize) -> Self {
         let top = R::from_u32(levels as u32 - 1);
@@ -189,8 +191,8 @@ impl<R: Real> LevelBlend<R> {
     }
 }
 
-/// A sphere's level as an input of the networks: a quarter of log2(r / r̈), within ±2. `reference` is log2 r̈. A zero or
-/// NaN radius gives −2.
+/// Returns a sphere's level as an input of the networks: a quarter of log2(r / r̈), within ±2. `reference` is log2 r̈.
+/// A zero or NaN radius gives −2.
 #[inline]
 pub fn level_input<R: Real>(log2_radius: R, reference: R) -> R {
     let [unit, most] = [LEVELS_PER_UNIT, MOST_LEVEL_INPUT].map(R::from_f64);
@@ -199,8 +201,8 @@ pub fn level_input<R: Real>(log2_radius: R, reference: R) -> R {
     if !(input > -most) { -most } else { input.min(most) }
 }
 
-/// Grows the planes at the front of `values` in place. `whole` is the pyramid of full size; the sides are halved
-/// `halvings` times before and `fewer` times after.
+/// Grows the planes at the front of `values` in place. `whole` is the pyramid of full size; its sides are halved
+/// `halvings` times before the growth and `fewer` times after it.
 pub fn grow<T: Copy>(values: &mut [T], whole: &Pyramid, halvings: u32, fewer: u32) {
     for halvings in (fewer..halvings).rev() {
         double(values, &whole.halved(halvings + 1));
@@ -210,7 +212,7 @@ pub fn grow<T: Copy>(values: &mut [T], whole: &Pyramid, halvings: u32, fewer: u3
 /// Doubles the sides of the planes of `pyramid` in place. Each texel becomes four equal ones, so that the levels
 /// above keep their values. `values` starts with the planes and has room for the result.
 fn double<T: Copy>(values: &mut [T], pyramid: &Pyramid) {
-    // From the end, so that no texel is overwritten before it is read.
+    // Copies from the end, so that no texel is overwritten before it is read.
     for plane in (0..3).rev() {
         let (shape, start) = (pyramid.shape(0, plane), pyramid.offset(0, plane));
         let row = shape.row();
@@ -226,7 +228,8 @@ fn double<T: Copy>(values: &mut [T], pyramid: &Pyramid) {
     }
 }
 
-/// Bilinear taps at (`a`, `b`) in [0, 1]² on a rectangle of texels: centres at (i + 0.5)/side, clamped at the border.
+/// Returns the bilinear taps at (`a`, `b`) in [0, 1]² on a rectangle of texels: centres at (i + 0.5)/side, clamped at
+/// the border.
 #[inline]
 pub fn taps<R: Real>(shape: Shape, a: R, b: R) -> Taps<R> {
     let half = R::from_f64(0.5);
