@@ -9,8 +9,8 @@ The file has two inputs, `rendered` and `target`, of shape (1, 3, height, width)
 least 32 pixels per side. Its output is one number, the distance. The package `lpips` contains the weights of the distance;
 torchvision downloads those of the network.
 
-`--check` needs no weights: it draws random ones and compares the file with PyTorch at two sizes, in onnxruntime if that is
-installed, otherwise in onnx's own evaluator, which takes minutes. `--random` writes a file with random weights.
+`--check` needs no download: it compares the exported file with PyTorch at two sizes, using random weights. It evaluates the file with
+onnxruntime or, if that is not installed, with onnx's own evaluator, which takes minutes. `--random` writes a file with random weights.
 """
 
 import argparse
@@ -20,7 +20,7 @@ import torch
 
 
 def network(net: str, random: bool) -> torch.nn.Module:
-    """Returns the distance as a module of two pictures; `random` draws all weights at random."""
+    """Returns the distance as a module that takes two pictures; with `random`, all weights are random."""
     import lpips
 
     torch.manual_seed(0)
@@ -59,7 +59,7 @@ def export(distance: torch.nn.Module, path: str) -> None:
 
 
 def evaluator(path: str):
-    """Returns a function of two arrays that evaluates the file."""
+    """Returns a function that evaluates the file on two arrays."""
     try:
         import onnxruntime
 

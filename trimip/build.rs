@@ -1,4 +1,4 @@
-//! Passes the commit of the repository, or of the package, to the program for its reports. Passes nothing if neither is known.
+//! Passes the git commit of the repository or the package to the program, for its reports. Passes nothing if the commit is unknown.
 
 use std::path::Path;
 use std::process::Command;
@@ -14,7 +14,7 @@ fn main() {
     }
 }
 
-/// The commit recorded in a package, shortened like that of a repository.
+/// Returns the commit recorded in a package, shortened to 10 digits as in [`of_repository`].
 fn of_package() -> Option<String> {
     println!("cargo::rerun-if-changed={PACKAGED}");
     let note = std::fs::read_to_string(PACKAGED).ok()?;
@@ -23,13 +23,13 @@ fn of_package() -> Option<String> {
     (hash.len() >= 10 && hash.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| hash[..10].into())
 }
 
-/// The commit of the workspace's repository. Inside another repository, that repository's commit would be wrong.
+/// Returns the commit of the workspace's repository; `None` elsewhere, because a surrounding repository has unrelated commits.
 fn of_repository() -> Option<String> {
     let repository = Path::new("../.git");
     if !repository.exists() || !Path::new("../trimip-core/Cargo.toml").exists() {
         return None;
     }
-    // Files that change when a commit is made or a file is staged. A missing path would rerun the script on every build.
+    // Rerun when a commit is made or a file is staged, which changes these files. A missing path would rerun the script on every build.
     for path in ["HEAD", "refs/heads", "packed-refs", "index"] {
         if repository.join(path).exists() {
             println!("cargo::rerun-if-changed=../.git/{path}");

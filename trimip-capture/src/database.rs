@@ -1,6 +1,6 @@
 //! Counts from a COLMAP database, which is an SQLite file: the features of each picture and its verified matches. The reader covers only
-//! the parts of the format (<https://www.sqlite.org/fileformat2.html>) that these counts need: whole tables, and the first values of their
-//! rows.
+//! the parts of the format (<https://www.sqlite.org/fileformat2.html>) that these counts need: scans of whole tables, and the first values
+//! of their rows.
 
 use std::{
     collections::BTreeMap,
@@ -15,28 +15,28 @@ const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 /// Size of the file header, bytes. On page 1 it precedes the tree.
 const HEADER: usize = 100;
 
-/// Types of the tree pages of a table: leaf and interior node.
+/// Types of a table's b-tree pages: leaf and interior node.
 const LEAF: u8 = 0x0d;
 const NODE: u8 = 0x05;
 
-/// Most pages that are read, so that a corrupt file whose pages refer to each other in a cycle ends too.
+/// Maximum number of pages that are read, so that reading also ends for a corrupt file whose pages refer to each other in a cycle.
 const MOST_PAGES: usize = 10_000_000;
 
-/// COLMAP's pair identifier is `first · PAIR + second` for the numbers of two pictures.
+/// In COLMAP, the identifier of a pair is `first · PAIR + second`, where `first` and `second` are the numbers of the two pictures.
 const PAIR: u64 = 2_147_483_647;
 
 /// Counts of one picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Features.
+    /// Number of features.
     pub features: u64,
-    /// Pictures that have verified matches with this one.
+    /// Number of pictures that have verified matches with this one.
     pub pairs: u64,
-    /// Most verified matches with a single other picture.
+    /// Largest number of verified matches with a single other picture.
     pub most: u64,
 }
 
-/// The counts of all pictures by name; `None` if the file is not a COLMAP database.
+/// Returns the counts of all pictures by name; `None` if the file is not a COLMAP database.
 pub fn counts(path: &Path) -> Option<BTreeMap<String, Counts>> {
     let mut file = Database::open(path)?;
     let roots = file.roots()?;
@@ -95,7 +95,7 @@ impl Database {
         (header.starts_with(MAGIC) && page >= 512).then_some(Self { file, page })
     }
 
-    /// Root pages of the tables by table name.
+    /// Returns the root pages of the tables by table name.
     fn roots(&mut self) -> Option<BTreeMap<String, u32>> {
         let mut roots = BTreeMap::new();
         self.rows(1, &mut |_, values| {
@@ -116,7 +116,7 @@ impl Database {
         Some(page)
     }
 
-    /// Calls `take` with each row of a table: the row's number and its first values.
+    /// Calls `take` with each row of a table: the number of the row and its first values.
     fn rows(&mut self, root: u32, take: &mut dyn FnMut(u64, &[Value])) -> Option<()> {
         let mut next = vec![root];
         let mut read = 0;
@@ -155,7 +155,7 @@ fn u16_at(page: &[u8], at: usize) -> Option<u16> {
     page.get(at..)?.first_chunk().map(|bytes| u16::from_be_bytes(*bytes))
 }
 
-/// Reads a number of 1 to 9 bytes; returns it and the bytes after it.
+/// Reads a number of 1 to 9 bytes; returns the number and the bytes after it.
 fn varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     let mut value = 0_u64;
     for index in 0..9 {
@@ -171,7 +171,7 @@ fn varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
     None
 }
 
-/// The first values of a record, up to the end of its first page.
+/// Returns the first values of a record, up to the end of the record's first page.
 fn values(record: &[u8]) -> Option<Vec<Value>> {
     let (length, _) = varint(record)?;
     let header = record.get(..usize::try_from(length).ok()?)?;
@@ -233,7 +233,7 @@ mod tests {
         bytes
     }
 
-    /// A leaf page of 512 bytes.
+    /// Returns a leaf page of 512 bytes.
     fn leaf(start: usize, rows: &[(u64, Vec<Value>)]) -> Vec<u8> {
         let mut page = vec![0; 512];
         page[start] = LEAF;
@@ -290,7 +290,7 @@ mod tests {
         let of = |features, pairs, most| Counts { features, pairs, most };
         assert_eq!(found["a.jpg"], of(900, 1, 70));
         assert_eq!((found["b.jpg"], found["c.jpg"]), (of(800, 2, 70), of(0, 1, 30)));
-        // A truncated file is rejected and does not panic, wherever it is cut.
+        // A truncated file is rejected and causes no panic, wherever it is cut.
         for length in (0..pages.concat().len()).step_by(37) {
             std::fs::write(&path, &pages.concat()[..length]).unwrap();
             let _ = counts(&path);

@@ -5,36 +5,37 @@ use crate::{Lens, Mapper, Matcher, Request};
 use serde::Serialize;
 use trimip::{Advice, Error, Place, Result, formatting::count};
 
-/// Most photographs for exhaustive matching: 19,900 pairs.
+/// Maximum number of photographs for exhaustive matching: 19,900 pairs.
 const EXHAUSTIVE: usize = 200;
 
-/// Most pictures for an incremental mapper.
+/// Maximum number of pictures for an incremental mapper.
 const INCREMENTAL: usize = 300;
 
-/// Longest side of the pictures in which features are looked for, pixels: on a CPU, and on a GPU (COLMAP's default).
+/// Longest side of the pictures for feature detection, pixels: on a CPU, and on a GPU (COLMAP's default).
 const CPU_SIZE: u32 = 1600;
 const GPU_SIZE: u32 = 3200;
 
-/// Most picture sizes that get one camera per size, and the fewest pictures that each of these sizes needs.
+/// Each picture size gets a camera if there are at most this many sizes, and at least so many pictures of each size.
 const MOST_SIZES: usize = 8;
 const FEWEST_OF_A_SIZE: usize = 3;
 
-/// Sequential matching compares each picture with this many neighbours, and at doubling distances up to 2^9 pictures.
+/// Number of next neighbours that sequential matching compares each picture with. It also compares pictures at doubling distances, up to
+/// 2^9 pictures apart.
 const OVERLAP: u32 = 10;
 
-/// Most loop-closing pairs among evenly spread pictures: of a film or where sequential matching is asked for, and of photographs.
+/// Maximum number of loop-closing pairs among evenly spread pictures: for a film or a request for sequential matching, and otherwise.
 const LOOP_PAIRS: usize = 1500;
 const LOOP_PAIRS_OF_PHOTOGRAPHS: usize = 8000;
 
-/// How many cameras the pictures share.
+/// Which pictures share a camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cameras {
-    /// One for all pictures.
+    /// One camera for all pictures.
     One,
-    /// One per folder; all pictures of a folder have one size.
+    /// One camera per folder; all pictures in a folder have the same size.
     PerFolder,
-    /// One per picture.
+    /// One camera per picture.
     PerImage,
 }
 
@@ -42,18 +43,18 @@ pub enum Cameras {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pairs {
-    /// Each picture with each other.
+    /// Each picture with every other.
     Exhaustive,
-    /// Each picture with its next neighbours; to close loops, also all pairs among every `every`-th picture.
+    /// Each picture with its next neighbours; to close loops, every `every`-th picture is also compared with all others of these.
     Sequential {
         /// Number of neighbours.
         overlap: u32,
-        /// Step between the pictures that are compared with each other to close loops; 0 = none.
+        /// Step between the pictures that are also compared with each other to close loops; 0 = none.
         every: usize,
-        /// Path of a vocabulary tree, which then closes loops instead.
+        /// Path of a vocabulary tree, which closes loops instead of `every`.
         tree: Option<String>,
     },
-    /// Each picture with those that look alike.
+    /// Each picture with those that look alike according to a vocabulary tree.
     Vocabulary {
         /// Path of the vocabulary tree.
         tree: String,
@@ -65,11 +66,11 @@ pub enum Pairs {
 pub struct Decisions {
     /// COLMAP's name of the camera model.
     pub camera: &'static str,
-    /// How many cameras.
+    /// Which pictures share a camera.
     pub cameras: Cameras,
     /// True if the mapper estimates lens distortion; otherwise the distortion is zero.
     pub distortion: bool,
-    /// Longest side of the pictures in which features are looked for, pixels.
+    /// Longest side of the pictures for feature detection, pixels.
     pub size: u32,
     /// True if features and matches are computed on a GPU.
     pub gpu: bool,
@@ -77,21 +78,21 @@ pub struct Decisions {
     pub pairs: Pairs,
     /// True for the global mapper, which places all cameras at once.
     pub global: bool,
-    /// Threads; 0 = all.
+    /// Number of threads; 0 = all.
     pub threads: u32,
     /// Each decision with its reason, as lines for the user.
     pub lines: Vec<String>,
 }
 
 impl Decisions {
-    /// These decisions without lens distortion; `None` for the global mapper, or if the camera model has no distortion.
+    /// Returns these decisions without lens distortion; `None` for the global mapper, or if the camera model has no distortion.
     pub fn without_distortion(&self) -> Option<Self> {
         let has_terms = !self.camera.ends_with("PINHOLE");
         (has_terms && !self.global).then(|| Self { distortion: false, ..self.clone() })
     }
 }
 
-/// Refuses options that contradict each other or the programs. Returns the path of the vocabulary tree.
+/// Refuses options that contradict each other or that the programs do not support. Returns the path of the vocabulary tree.
 ///
 /// # Errors
 /// Of kind `Input`: a missing vocabulary tree, or a mapper that no installed program has.
@@ -139,7 +140,7 @@ pub fn expect(request: &Request, able: &Ability) -> Result<Option<String>> {
     }
 }
 
-/// Decides from the pictures, the user's options and the abilities of the programs.
+/// Makes the decisions from the pictures, the user's options and the abilities of the programs.
 ///
 /// # Errors
 /// As [`expect`].
@@ -212,7 +213,7 @@ fn cameras(pictures: &Pictures) -> (Cameras, String) {
     }
 }
 
-/// The pairs that are compared, and why.
+/// Returns the pairs that are compared, and the reason.
 fn pairs(wanted: Option<Matcher>, of_film: bool, number: usize, tree: Option<String>) -> (Pairs, String) {
     let all = number * number.saturating_sub(1) / 2;
     let sequential = |tree: Option<String>, most: usize, why: &str| {
@@ -251,7 +252,8 @@ fn pairs(wanted: Option<Matcher>, of_film: bool, number: usize, tree: Option<Str
     }
 }
 
-/// The smallest step, from 2, at which the evenly spread pictures form at most `most` pairs; 0 if neighbours alone cover the pictures.
+/// Returns the smallest step, at least 2, at which the evenly spread pictures form at most `most` pairs; 0 if the pictures are so few that
+/// neighbours suffice.
 fn spread(number: usize, most: usize) -> usize {
     if number <= 2 * OVERLAP as usize {
         return 0;

@@ -16,14 +16,14 @@ pub enum Event<'a> {
     Begun {
         /// Name of the stage.
         stage: &'a str,
-        /// What the stage does first.
+        /// The first action of the stage.
         doing: &'a str,
     },
     /// Part of a stage is done.
     Progress {
         /// Name of the stage.
         stage: &'a str,
-        /// What the stage does.
+        /// The current action of the stage.
         doing: &'a str,
         /// Number of items done.
         done: u64,

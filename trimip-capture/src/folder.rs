@@ -1,6 +1,6 @@
 //! The folder of a capture: its file names, and which stages are done. A stage writes its outputs under temporary names, renames them once
-//! all are complete, and writes its state last: its inputs and its result. A stage whose state is missing or has other inputs is done
-//! again, with all stages after it.
+//! all are complete, and writes its state last: its inputs and its result. A stage whose state is missing or has other inputs is repeated,
+//! and so are all stages after it.
 
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::Value;
@@ -19,7 +19,7 @@ use trimip_core::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// Photographs, or frames of a film; written to `images/`.
+    /// Copies photographs, or takes frames out of a film; written to `images/`.
     Pictures,
     /// Features of each picture; written to `features.db`.
     Features,
@@ -31,14 +31,14 @@ pub enum Stage {
     Page,
 }
 
-/// Output of a second run of the mapper, kept until one of the two results is chosen.
+/// Name of the output of a second mapper run, kept until one of the two results is chosen.
 pub const AGAIN: &str = "again";
 
 /// All stages, in order.
 const STAGES: [Stage; 5] = [Stage::Pictures, Stage::Features, Stage::Matches, Stage::Model, Stage::Page];
 
 impl Stage {
-    /// The stage's name in file names and events.
+    /// Returns the stage's name in file names and events.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pictures => "pictures",
@@ -49,7 +49,7 @@ impl Stage {
         }
     }
 
-    /// The files and folders that the stage writes.
+    /// Returns the files and folders that the stage writes.
     fn outputs(self) -> &'static [&'static str] {
         match self {
             Self::Pictures => &["images"],
@@ -64,7 +64,7 @@ impl Stage {
 /// The state of a finished stage.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Done<T> {
-    /// What the stage was computed from.
+    /// The inputs that the stage was computed from.
     pub inputs: Value,
     /// Duration of the stage, seconds.
     pub seconds: f64,
@@ -83,8 +83,8 @@ struct Mark {
 }
 
 impl Mark {
-    /// True if this is the capture of `input`: the path is equal, or the recorded path is gone and the file name is equal, because the
-    /// input was moved.
+    /// Returns true if this is the capture of `input`. The paths are equal; or, if the input was moved, its file name is equal and the
+    /// recorded path does not exist.
     fn is_of(&self, input: &Path) -> bool {
         let own = Path::new(&self.input);
         self.input == input.to_string_lossy() || own.file_name() == input.file_name() && !own.exists()
@@ -137,22 +137,22 @@ impl Folder {
         Ok(Self { root, _lock: lock })
     }
 
-    /// Absolute path of the folder.
+    /// Returns the absolute path of the folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Path of a file or folder in the capture.
+    /// Returns the path of a file or folder in the capture.
     pub fn path(&self, name: &str) -> PathBuf {
         self.root.join(name)
     }
 
-    /// Path of a program's log.
+    /// Returns the path of a program's log.
     pub fn log(&self, name: &str) -> PathBuf {
         self.root.join("log").join(format!("{name}.log"))
     }
 
-    /// The state of a stage, if it is done and its first output exists.
+    /// Returns the state of a stage, if it is done and its first output exists.
     pub fn done<T: DeserializeOwned>(&self, stage: Stage) -> Option<Done<T>> {
         let done = serde_json::from_slice(&fs::read(self.state(stage)).ok()?).ok()?;
         let first = stage.outputs().first()?;
@@ -176,7 +176,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Path of an output while it is incomplete.
+    /// Returns the path that an output has while it is incomplete.
     pub fn temporary(&self, output: &str) -> PathBuf {
         self.path(&temporary(output))
     }
@@ -192,7 +192,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Renames the temporary file or folder of `by` to that of `output`, which is removed.
+    /// Renames the temporary file or folder of `by` to that of `output`, and removes the latter first.
     ///
     /// # Errors
     /// When something cannot be removed or renamed.
@@ -242,12 +242,12 @@ impl Folder {
     }
 }
 
-/// Path of a stage's state. The file exists if the stage is done.
+/// Returns the path of a stage's state file, which exists if the stage is done.
 pub fn state(root: &Path, stage: Stage) -> PathBuf {
     root.join("state").join(format!("{}.json", stage.name()))
 }
 
-/// Name of an output while it is incomplete; its file extension stays.
+/// Returns the name that an output has while it is incomplete, with the same file extension.
 pub fn temporary(output: &str) -> String {
     match output.split_once('.') {
         Some((stem, ending)) => format!("{stem}.part.{ending}"),
@@ -255,12 +255,12 @@ pub fn temporary(output: &str) -> String {
     }
 }
 
-/// A hash that distinguishes values, as 16 hexadecimal digits.
+/// Returns a hash that distinguishes values, as 16 hexadecimal digits.
 pub fn digest(value: &impl Serialize) -> Result<String> {
     Ok(format!("{:016x}", fingerprint::hash(&json(value)?)))
 }
 
-/// The error for a path that the system cannot write.
+/// Returns the error for a path that the system cannot write.
 pub fn unwritable(path: &Path, error: &io::Error) -> Error {
     Error::input(
         path.display(),
@@ -282,8 +282,8 @@ fn remove(path: &Path) -> Result<()> {
     removed.map_err(|error| unwritable(path, &error))
 }
 
-/// True if the path is not a folder, or if the folder holds files that no capture left. A capture that was killed at its start leaves an
-/// empty folder, its lock, or the temporary file of its mark.
+/// Returns true if the path is not a folder, or if the folder holds files that no capture left. A capture that was killed at its start
+/// leaves an empty folder, its lock, or the temporary file of its mark.
 fn is_others(root: &Path) -> bool {
     let own =
         |name: &std::ffi::OsStr| [LOCK, "capture.json.tmp", "capture.json"].iter().any(|own| name == *own);
@@ -340,7 +340,7 @@ mod tests {
         drop(first);
         assert!(refused(&run).unwrap().contains(&format!("holds the capture of {}", walk.display())));
         assert_eq!(refused(&walk), None);
-        // Another film with the same file name is another input; a film that was moved is not.
+        // A different film with the same file name is refused; a film that was moved is accepted.
         let moved = folder.path().join("walk.mp4");
         assert!(refused(&moved).unwrap().contains("holds the capture of"));
         fs::rename(&walk, &moved).unwrap();

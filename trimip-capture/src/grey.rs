@@ -12,8 +12,8 @@ pub struct Grey {
 }
 
 impl Grey {
-    /// Variance of the Laplacian over the picture, grey levels squared. Blur lowers it (Pech-Pacheco et al. 2000). Noise raises it, so only
-    /// pictures of one camera and one subject can be compared.
+    /// Returns the variance of the Laplacian over the picture, grey levels squared. Blur lowers it (Pech-Pacheco et al.
+    /// 2000). Noise raises it, so only pictures from the same camera and of the same subject can be compared.
     pub fn sharpness(&self) -> f64 {
         let (width, height) = (self.width, self.height);
         if width < 3 || height < 3 {
@@ -38,13 +38,13 @@ impl Grey {
         squares as f64 / count - mean * mean
     }
 
-    /// Mean grey level, 0 to 255.
+    /// Returns the mean grey level, 0 to 255.
     pub fn brightness(&self) -> f64 {
         let sum: u64 = self.pixels.iter().map(|&pixel| u64::from(pixel)).sum();
         sum as f64 / self.pixels.len().max(1) as f64
     }
 
-    /// The picture with squares of `side` pixels averaged; an incomplete square at the edge is cut off.
+    /// Returns the picture reduced by averaging squares of `side` pixels; incomplete squares at the edges are cut off.
     pub fn reduced(&self, side: usize) -> Self {
         let (width, height) = (self.width / side, self.height / side);
         let mut pixels = Vec::with_capacity(width * height);

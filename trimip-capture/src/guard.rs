@@ -1,6 +1,6 @@
-//! The guard: a process between this program and a program that it calls. Once this program has ended, for whatever reason, the guard ends
-//! the called program and all that it started. It notices the end by a pipe, whose other end closes with this program. The guard and its
-//! program form a process group of their own, so Ctrl-C in a terminal reaches only this program, which then ends the group.
+//! The guard: a process between this program and a program that it calls. When this program ends, for whatever reason, the guard ends the
+//! called program and all processes that it started. The guard notices the end by a pipe, which closes together with this program. The
+//! guard and its program form a process group of their own, so Ctrl-C in a terminal reaches only this program, which then ends the group.
 
 use std::{
     ffi::OsString,
@@ -12,23 +12,23 @@ use std::{
 };
 use trimip::{Error, Result};
 
-/// The program that serves as the guard, and its first arguments.
+/// The program that acts as the guard, and its first arguments.
 static PROGRAM: OnceLock<(PathBuf, Vec<OsString>)> = OnceLock::new();
 
-/// Environment variable that is set for a guard.
+/// Environment variable that is set in the guard process.
 const GUARD: &str = "TRIMIP_GUARDS_A_PROGRAM";
 
 /// Exit code of a guard whose program cannot be started, by shell convention.
 pub(crate) const NOT_STARTED: u8 = 127;
 
-/// Makes `program` the guard; it is called with `arguments`, followed by the path of the guarded program and its arguments. The default is
-/// this program itself. A program that serves as the guard must call [`run`] first of all if [`is_one`].
+/// Sets the program that acts as the guard. It is called with `arguments`, followed by the path of the guarded program and its arguments.
+/// The default is this program itself. The main function of such a program must call [`run`] before anything else if [`is_one`] is true.
 pub fn set_program(program: PathBuf, arguments: Vec<OsString>) {
     PROGRAM.get_or_init(|| (program, arguments));
 }
 
-/// A command for a guarded program; the caller adds its arguments. The program may run while the pipe to the command's standard input is
-/// open.
+/// Returns a command for a guarded program; the caller adds its arguments. The program may run as long as the pipe to the command's
+/// standard input is open.
 ///
 /// # Errors
 /// When the path of this program cannot be determined.
@@ -48,12 +48,12 @@ pub(crate) fn command(program: &Path) -> Result<Command> {
     Ok(command)
 }
 
-/// True if this process is a guard.
+/// Returns true if this process is a guard.
 pub fn is_one() -> bool {
     std::env::var_os(GUARD).is_some()
 }
 
-/// Runs the program given by `words` (its path, then its arguments). Returns its exit code, or 128 + the signal that ended it.
+/// Runs the program given by `words` (its path, then its arguments). Returns the program's exit code, or 128 + the signal that ended it.
 pub fn run(words: impl IntoIterator<Item = OsString>) -> u8 {
     let mut words = words.into_iter();
     let Some(program) = words.next() else { return NOT_STARTED };
@@ -79,7 +79,7 @@ pub fn run(words: impl IntoIterator<Item = OsString>) -> u8 {
     child.wait().map_or(NOT_STARTED, code)
 }
 
-/// Exit code of a program, or 128 + the signal that ended it.
+/// Returns the exit code of a program, or 128 + the signal that ended it.
 fn code(status: ExitStatus) -> u8 {
     #[cfg(unix)]
     {
@@ -102,7 +102,7 @@ fn end_group(_: u32) {
     let _ = kill(Pid::from_raw(0), Signal::SIGKILL);
 }
 
-/// Ends the program with all that it started, and then the guard.
+/// Ends the program with all processes that it started, and then the guard.
 #[cfg(not(unix))]
 fn end_group(id: u32) {
     let mut command = Command::new("taskkill");

@@ -1,5 +1,5 @@
 //! From a film or a folder of photographs to a scene with cameras, in five stages: pictures, features, matches, a model and a page. The
-//! result of each stage is kept. Other programs do the computation; this crate finds them, chooses their options, watches them and checks
+//! result of each stage is kept. Other programs do the computation; this crate finds them, chooses their options, monitors them and checks
 //! their results.
 
 #![forbid(unsafe_code)]
@@ -46,12 +46,12 @@ use trimip_data::unwatched;
 use trimip_report::inspect::UnplacedPicture;
 use unplaced::Unplaced;
 
-/// Most pictures without a pose that are listed in the terminal.
+/// Maximum number of pictures without a pose that are listed in the terminal.
 const NAMED: usize = 8;
 
 /// A finished capture.
 pub struct Captured {
-    /// Folder of the capture, as the user may type it.
+    /// Folder of the capture, as a user would type it.
     pub root: PathBuf,
     /// Largest width and largest height of the pictures, pixels.
     pub size: [u32; 2],
@@ -60,7 +60,7 @@ pub struct Captured {
 /// The result of the model stage.
 #[derive(Serialize, Deserialize)]
 struct Placement {
-    /// Digest of the pictures and the user's options; a later command compares its own with these.
+    /// Digest of the pictures and the user's options. A later command compares it with its own.
     asked: Value,
     /// The program that placed the cameras.
     program: String,
@@ -68,8 +68,8 @@ struct Placement {
     models: Models,
 }
 
-/// Captures what `request` names, and continues from the results of an earlier call. `events` receives every event. Setting `stop` ends the
-/// call and the programs that it runs.
+/// Makes the capture that `request` describes, and continues from the results of an earlier call. `events` receives every event. Setting
+/// `stop` ends the call and the programs that it runs.
 ///
 /// # Errors
 /// When the input is refused, a program is missing or fails, or no camera can be placed; of kind `Stopped` after a stop.
@@ -98,17 +98,17 @@ pub fn run(request: &Request, stop: &AtomicBool, events: &dyn Fn(&Event<'_>)) ->
     Capture { request, folder, teller, stop }.whole(&source, &root)
 }
 
-/// `captures/` and the name of the input.
+/// Returns the default folder of a capture: `captures/` and the name of the input.
 fn default_folder(input: &Path) -> PathBuf {
     let whole = input.canonicalize().unwrap_or_else(|_| input.to_path_buf());
     let name = if whole.is_dir() { whole.file_name() } else { whole.file_stem() };
     Path::new("captures").join(name.unwrap_or("capture".as_ref()))
 }
 
-/// Refuses to write into the folder that is captured, because the next command would take the written pictures for photographs.
+/// Refuses to write into the folder that is captured, because the next command would treat the written pictures as photographs.
 fn expect_outside(input: &Path, root: &Path) -> Result<()> {
     let (Ok(input), Ok(whole)) = (input.canonicalize(), std::path::absolute(root)) else { return Ok(()) };
-    // The nearest folder that exists.
+    // The nearest parent folder that exists.
     let above = whole.ancestors().find_map(|folder| folder.canonicalize().ok());
     if !input.is_dir() || !above.is_some_and(|folder| folder.starts_with(&input)) {
         return Ok(());
@@ -120,7 +120,7 @@ fn expect_outside(input: &Path, root: &Path) -> Result<()> {
     ))
 }
 
-/// Fails, before anything is written, if options contradict each other or a program is missing for a stage that is not done.
+/// Fails, before anything is written, if options contradict each other or if a stage that is not done needs a missing program.
 fn expect_programs(request: &Request, source: &Source, root: &Path) -> Result<()> {
     let is_done = |stage: Stage| !request.fresh && folder::state(root, stage).is_file();
     if let Source::Film(film) = source
@@ -156,7 +156,7 @@ impl Capture<'_> {
         Ok(Captured { root: root.into(), size: [width, height] })
     }
 
-    /// The result of a stage: the stored one if it has the same inputs, otherwise the result of `work`.
+    /// Returns the result of a stage: the stored one if it has the same inputs, otherwise the result of `work`.
     fn stage<T: Serialize + serde::de::DeserializeOwned>(
         &self,
         stage: Stage,
@@ -308,14 +308,14 @@ impl Capture<'_> {
         )
     }
 
-    /// Digest of the pictures and the options that affect their cameras.
+    /// Returns the digest of the pictures and the options that affect their cameras.
     fn asked(&self, pictures: &Pictures) -> Result<Value> {
         let Request { poses, camera, matcher, vocab_tree, mapper, size, .. } = self.request;
         let options = format!("{poses:?} {camera:?} {matcher:?} {vocab_tree:?} {mapper:?} {size:?}");
         Ok(json!({ "pictures": digest(&pictures.pictures)?, "options": options }))
     }
 
-    /// The program that computed the stored features, if there are any.
+    /// Returns the program that computed the stored features, if there are any.
     fn began_with(&self) -> Option<PosesProgram> {
         let done = self.folder.done::<Value>(Stage::Features)?;
         let program = done.inputs["program"].as_str()?;

@@ -1,5 +1,5 @@
-//! The models that a mapper wrote. There are several where the pictures fall apart into groups without common points; the one with the most
-//! soundly placed pictures is used.
+//! The models that a mapper wrote. There are several if the pictures fall apart into groups without common points. The model with the most
+//! pictures whose cameras are not lost is used.
 
 use super::folder::unwritable;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ pub struct Placed {
 }
 
 impl Placed {
-    /// Number of pictures of this model whose cameras are not lost.
+    /// Returns the number of pictures of this model whose cameras are not lost.
     pub fn sound(&self) -> usize {
         self.pictures.len() - self.lost.len()
     }
@@ -43,12 +43,12 @@ pub struct Models {
 }
 
 impl Models {
-    /// Number of pictures of the best model whose cameras are not lost.
+    /// Returns the number of pictures of the best model whose cameras are not lost.
     pub fn sound(&self) -> usize {
         self.models.first().map_or(0, Placed::sound)
     }
 
-    /// The number of lost cameras in the best model, in words; `None` if it has none.
+    /// Returns the number of lost cameras in the best model, in words; `None` if it has none.
     pub fn lost(&self) -> Option<String> {
         let best = self.models.first().filter(|best| !best.lost.is_empty())?;
         Some(format!(
@@ -59,8 +59,8 @@ impl Models {
     }
 }
 
-/// Reads the models in the folders of `root`. The one with the most pictures whose cameras are not lost comes first, among equals the one
-/// with more points.
+/// Reads the models in the folders of `root`. The one with the most pictures whose cameras are not lost comes first; if these numbers are
+/// equal, the one with more points.
 ///
 /// # Errors
 /// When a model cannot be read.
@@ -88,7 +88,7 @@ fn placed(root: &Path, folder: &Path) -> Result<Placed> {
     let errors: Vec<f64> =
         model.points.iter().map(|point| point.error).filter(|error| *error >= 0.0).collect();
     let name = folder.strip_prefix(root).unwrap_or(folder).display().to_string();
-    // Cameras that cannot be read are reported later, by the reader of the scene.
+    // If cameras cannot be read, the reader of the scene reports that later.
     let lost = model.cameras_of_images(&name).map_or_else(|_| Vec::new(), |cameras| lost(&cameras));
     Ok(Placed {
         folder: name,

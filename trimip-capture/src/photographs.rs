@@ -1,5 +1,5 @@
-//! Turns the photographs of a folder into pictures of a capture: linked or copied as they are, and HEIC converted by a program of the
-//! system. If sizes differ, the pictures of each size share a folder, and so a camera.
+//! Turns the photographs of a folder into pictures of a capture: links or copies them as they are, and converts HEIC with a program of the
+//! system. If sizes differ, the pictures of each size get their own folder, and therefore a common camera.
 
 use super::{
     pictures::{LeftOut, Picture, Pictures},
@@ -18,7 +18,7 @@ use std::{
 use trimip::{Error, Result};
 
 /// Programs that read HEIC, in the order in which they are tried: name, arguments before the input file, arguments between the two files.
-/// JPEG of the best quality keeps the lens data of EXIF, from which COLMAP starts.
+/// They write JPEG at the highest quality, and keep the EXIF lens data, which COLMAP uses as its initial guess.
 const CONVERTERS: [Converter; 6] = [
     Converter { name: "heif-convert", before: &["-q", "100"], between: &[] },
     Converter { name: "heif-dec", before: &["-q", "100"], between: &[] },
@@ -48,7 +48,7 @@ struct Converter {
 }
 
 impl Converter {
-    /// Path of the program, if it is installed and suitable.
+    /// Returns the path of the program, if it is installed and suitable.
     fn program(&self) -> Option<PathBuf> {
         let program = programs::find(self.name)?;
         match self.name {
@@ -66,7 +66,7 @@ impl Converter {
     }
 }
 
-/// Writes the pictures to the new folder `folder` below `root`.
+/// Writes the pictures to the new folder `folder` in `root`.
 ///
 /// # Errors
 /// When no program converts a photograph that needs it, a file cannot be written, or too few photographs are readable.
@@ -152,7 +152,7 @@ impl Converting<'_> {
         let mut failed = None;
         for converter in &CONVERTERS {
             let Some(program) = converter.program() else { continue };
-            // A program may be built without HEIC support: only a trial shows it.
+            // A program may have been built without HEIC support, which only a trial shows.
             match self.by(&program, converter, from, to) {
                 Ok(()) => {
                     self.working = Some((program, converter));
@@ -188,7 +188,7 @@ impl Converting<'_> {
         if to.is_file() {
             return Ok(());
         }
-        // A file with several images (a burst, a live photograph) gives numbered pictures; the first is used.
+        // For a file with several images (a burst, a live photograph) the program writes numbered pictures; the first is used.
         let numbered =
             to.with_file_name(format!("{}-1.jpg", to.file_stem().unwrap_or_default().to_string_lossy()));
         fs::rename(&numbered, to).map_err(|_| {
@@ -202,9 +202,9 @@ impl Converting<'_> {
     }
 }
 
-/// Hard-links a file, or copies it where a link is impossible. The original is not changed.
+/// Hard-links a file, or copies it if a link is impossible. The original is not changed.
 fn link(from: &Path, to: &Path) -> Result<()> {
-    // The target of a symbolic link is linked: a relative symbolic link would break in another folder.
+    // Link the target of a symbolic link, because a relative symbolic link would break in another folder.
     let whole = from.canonicalize().unwrap_or_else(|_| from.into());
     if fs::hard_link(&whole, to).is_ok() {
         return Ok(());
@@ -218,7 +218,7 @@ fn link(from: &Path, to: &Path) -> Result<()> {
     })
 }
 
-/// Stored width and height of a photograph, and whether EXIF says that it is rotated; otherwise why it cannot be read.
+/// Returns the stored width and height of a photograph and whether EXIF says that it is rotated, or the reason why it cannot be read.
 fn size(path: &Path) -> std::result::Result<([u32; 2], bool), String> {
     let read = || -> image::ImageResult<_> {
         let mut decoder = ImageReader::open(path)?.with_guessed_format()?.into_decoder()?;
@@ -228,7 +228,7 @@ fn size(path: &Path) -> std::result::Result<([u32; 2], bool), String> {
     read().map_err(|error| format!("cannot be read: {error}"))
 }
 
-/// A plain file name for each photograph, unique even on file systems that ignore case.
+/// Returns a plain file name for each photograph. The names are unique even on file systems that ignore case.
 fn unique_names(photographs: &[Photograph]) -> Vec<String> {
     let plain = |photograph: &Photograph| {
         let name = plain_name(&photograph.name.file_name().unwrap_or_default().to_string_lossy());
@@ -261,7 +261,7 @@ fn unique_names(photographs: &[Photograph]) -> Vec<String> {
     photographs.iter().map(name).collect()
 }
 
-/// Replaces blanks and `#`: COLMAP's lists of pairs have blanks between names, and `#` begins a comment there.
+/// Replaces blanks and `#`. In COLMAP's lists of pairs, blanks separate names and `#` begins a comment.
 fn plain_name(name: &str) -> String {
     name.replace(|c: char| c.is_whitespace() || c == '#', "_")
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use std::{collections::BTreeMap, path::Path};
 use trimip::{Error, Result, formatting::count};
 
-/// Fewest pictures from which cameras can be estimated.
+/// Minimum number of pictures from which cameras can be estimated.
 const FEWEST: usize = 3;
 
 /// A picture that COLMAP uses.
@@ -12,7 +12,7 @@ const FEWEST: usize = 3;
 pub struct Picture {
     /// Path in `images/`, with slashes.
     pub name: String,
-    /// Path of the photograph in the user's folder, or frame of the film.
+    /// Path of the photograph in the user's folder, or number of the frame in the film.
     pub source: String,
     /// Width and height, pixels.
     pub size: [u32; 2],
@@ -27,7 +27,7 @@ pub struct Picture {
 pub struct LeftOut {
     /// Path of the photograph in the user's folder.
     pub name: String,
-    /// Why it is left out.
+    /// Reason why it is left out.
     pub reason: String,
 }
 
@@ -42,7 +42,7 @@ pub struct Pictures {
     pub of_film: bool,
     /// The program that converted photographs.
     pub converted_by: Option<String>,
-    /// Remarks for the user, a line each.
+    /// Remarks for the user, one per line.
     pub notes: Vec<String>,
 }
 
@@ -64,12 +64,12 @@ impl Pictures {
         ))
     }
 
-    /// True if every picture exists in `folder`.
+    /// Returns true if every picture exists in `folder`.
     pub fn are_in(&self, folder: &Path) -> bool {
         self.pictures.iter().all(|picture| folder.join(&picture.name).is_file())
     }
 
-    /// Number of pictures of each size.
+    /// Returns the number of pictures of each size.
     pub fn sizes(&self) -> BTreeMap<[u32; 2], usize> {
         let mut sizes = BTreeMap::new();
         self.pictures.iter().for_each(|picture| *sizes.entry(picture.size).or_default() += 1);

@@ -1,5 +1,5 @@
-//! Calls other programs: writes their output to a log file, passes it line by line to a progress counter, ends a program when this one
-//! ends, and reports the last lines of a program that fails.
+//! Calls other programs: writes their output to a log file, passes it line by line to a progress counter, ends a called program when this
+//! program ends, and reports the last lines of a program that fails.
 
 use super::guard;
 use std::{
@@ -21,11 +21,11 @@ use trimip::{Advice, Error, Result};
 /// Interval at which the stop flag is polled while a program is silent.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// Bytes that are read at once, and parts that may wait in the channel.
+/// Number of bytes that are read at once, and number of parts that may wait in the channel.
 const CHUNK: usize = 1 << 16;
 const WAITING: usize = 64;
 
-/// Last lines of a failed program that are reported, and the most characters of each.
+/// Number of last lines of a failed program that are reported, and maximum number of characters of each.
 const LAST: usize = 3;
 const WIDTH: usize = 90;
 
@@ -39,7 +39,7 @@ pub struct Call<'a> {
     pub arguments: Vec<OsString>,
     /// Working directory.
     pub folder: &'a Path,
-    /// Log file of the program's output.
+    /// Log file for the program's output.
     pub log: PathBuf,
 }
 
@@ -53,11 +53,11 @@ pub struct Ended {
 
 /// Receives the output of a program.
 pub trait Output {
-    /// Receives a line of standard error, or of standard output unless [`bytes`](Self::bytes) takes that. False keeps the line out of the
-    /// log.
+    /// Receives a line of standard error; also of standard output, unless [`takes_bytes`](Self::takes_bytes) returns true. A return value
+    /// of false keeps the line out of the log.
     fn line(&mut self, line: &str) -> bool;
 
-    /// Receives a part of standard output, if `takes_bytes`.
+    /// Receives a part of standard output, if [`takes_bytes`](Self::takes_bytes) returns true.
     ///
     /// # Errors
     /// An error ends the program.
@@ -65,14 +65,14 @@ pub trait Output {
         Ok(())
     }
 
-    /// True if standard output is binary.
+    /// Returns true if standard output is binary.
     fn takes_bytes(&self) -> bool {
         false
     }
 }
 
 impl Ended {
-    /// True for exit code 0.
+    /// Returns true for exit code 0.
     pub fn is_success(&self) -> bool {
         self.code == 0
     }
@@ -114,7 +114,7 @@ impl Call<'_> {
         let mut log = self.open_log()?;
         let mut command = guard::command(self.program)?;
         command.args(&self.arguments).current_dir(self.folder).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // COLMAP asks Qt for a screen where it finds no GPU of its own. Without a display, Qt needs its offscreen platform.
+        // If COLMAP finds no GPU by itself, it requests a screen from Qt. Without a display, Qt needs its offscreen platform.
         if std::env::var_os("DISPLAY").is_none() && std::env::var_os("WAYLAND_DISPLAY").is_none() {
             command.env("QT_QPA_PLATFORM", "offscreen");
         }
@@ -149,7 +149,7 @@ impl Call<'_> {
             }
         }
         if heeded.is_err() {
-            // Closing the pipe makes the guard end the program and all that it started.
+            // Closing the pipe makes the guard end the program and all processes that it started.
             drop(child.stdin.take());
             drop(parts);
         }
@@ -163,7 +163,7 @@ impl Call<'_> {
         }
     }
 
-    /// The error for a program that ended with a non-zero exit code.
+    /// Returns the error for a program that ended with a non-zero exit code.
     pub fn failed(&self, ended: &Ended) -> Error {
         let how = match ended.code {
             137 => "was killed, perhaps because memory ran out (a smaller size or fewer threads need less)"
@@ -197,7 +197,7 @@ impl Call<'_> {
     }
 }
 
-/// The error for a capture that the user stopped.
+/// Returns the error for a capture that the user stopped.
 pub fn stopped() -> Error {
     Error::stopped_with("stopped; the same command continues from here")
 }
@@ -229,7 +229,7 @@ fn code(status: ExitStatus) -> i32 {
     status.code().unwrap_or(255)
 }
 
-/// Starts the threads that read both outputs of a program; returns what they read.
+/// Starts the threads that read both outputs of a program; returns the channel of what they read.
 fn readers(child: &mut Child, as_bytes: bool) -> std::io::Result<Receiver<Part>> {
     let (sender, receiver) = sync_channel(WAITING);
     let named = |name: &str| thread::Builder::new().name(name.into());
@@ -253,7 +253,7 @@ fn read_bytes(mut pipe: impl Read, sender: &SyncSender<Part>) {
     }
 }
 
-/// Sends lines, which end with a line feed or, where a program overwrites its progress, with a carriage return.
+/// Sends lines. A line ends with a line feed or, where a program overwrites its progress, with a carriage return.
 fn read_lines(mut pipe: impl Read, sender: &SyncSender<Part>) {
     let (mut buffer, mut line) = (vec![0; CHUNK], Vec::new());
     let send = |line: &mut Vec<u8>| {
@@ -275,7 +275,7 @@ fn read_lines(mut pipe: impl Read, sender: &SyncSender<Part>) {
     send(&mut line);
 }
 
-/// The output of a short call that asks a program about itself, standard output before standard error; `None` if the program cannot be
+/// Returns the output of a short call that queries a program, standard output before standard error; `None` if the program cannot be
 /// started or fails.
 pub fn ask(program: &Path, arguments: &[&str]) -> Option<String> {
     let mut command = std::process::Command::new(program);

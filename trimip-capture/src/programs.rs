@@ -38,7 +38,7 @@ fn is_executable(path: &Path) -> bool {
     path.is_file()
 }
 
-/// What a capture needs from other programs.
+/// A need of a capture for other programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
     /// ffmpeg and ffprobe.
@@ -56,7 +56,7 @@ pub enum Need {
 }
 
 impl Need {
-    /// Name of the missing program in messages.
+    /// Describes the missing program in messages.
     fn words(self) -> &'static str {
         match self {
             Self::Films => "no ffmpeg with ffprobe, which take frames out of films,",
@@ -68,7 +68,7 @@ impl Need {
         }
     }
 
-    /// The error that says how to install the program. `place` is what needs it.
+    /// Returns the error that states how to install the program. `place` names the input that needs the program.
     pub fn missing(self, place: impl Into<Place>) -> Error {
         let line = install_line(self, env::consts::OS, &os_release());
         Error::input(
@@ -79,15 +79,15 @@ impl Need {
     }
 }
 
-/// Path of the program, or the error of `need`.
+/// Returns the path of the program, or the error of `need`.
 ///
 /// # Errors
-/// When it is not on the path.
+/// When the program is not on the path.
 pub fn expect(name: &str, need: Need, place: impl Into<Place>) -> Result<PathBuf> {
     find(name).ok_or_else(|| need.missing(place))
 }
 
-/// Content of Linux's `os-release` file.
+/// Reads Linux's `os-release` file.
 fn os_release() -> String {
     ["/etc/os-release", "/usr/lib/os-release"]
         .iter()
@@ -97,7 +97,7 @@ fn os_release() -> String {
 
 const PIP: &str = "pip install pycolmap";
 
-/// The command that installs what is needed: by the operating system's name as Rust has it, and its file `os-release`.
+/// Returns the command that installs what is needed. `os` is Rust's name of the operating system, `release` the text of `os-release`.
 fn install_line(need: Need, os: &str, release: &str) -> String {
     let field = |key: &str| {
         let value = release.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix('='));

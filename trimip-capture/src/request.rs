@@ -1,4 +1,4 @@
-//! The input of a capture and all options of the user.
+//! The input of a capture and all options that the user can set.
 
 use serde::Deserialize;
 use std::path::PathBuf;
@@ -36,7 +36,7 @@ pub enum Lens {
 }
 
 impl Lens {
-    /// COLMAP's name of the model.
+    /// Returns COLMAP's name of the model.
     pub fn name(self) -> &'static str {
         match self {
             Self::Opencv => "OPENCV",
@@ -54,7 +54,7 @@ impl Lens {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 pub enum Matcher {
-    /// Each picture with each other
+    /// Each picture with every other
     Exhaustive,
     /// Each picture with the next ones, and some with all others to close loops
     Sequential,
@@ -78,7 +78,7 @@ pub enum Mapper {
 pub struct Request {
     /// A film, a folder of photographs, or a zip archive of either.
     pub input: PathBuf,
-    /// Folder of the capture; by default `captures/` and the name of the input.
+    /// Folder of the capture; the default is `captures/` and the name of the input.
     pub out: Option<PathBuf>,
     /// Number of frames of a film.
     pub frames: Option<u32>,
@@ -92,10 +92,10 @@ pub struct Request {
     pub vocab_tree: Option<PathBuf>,
     /// How cameras are placed.
     pub mapper: Option<Mapper>,
-    /// Longest side of the pictures in which features are looked for, pixels.
+    /// Longest side of the pictures for feature detection, pixels.
     pub size: Option<u32>,
-    /// Threads of the programs; 0 = all.
+    /// Number of threads of the programs; 0 = all.
     pub threads: u32,
-    /// True if all stages are done again.
+    /// True to do all stages again.
     pub fresh: bool,
 }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use trimip::{Error, Result};
 use trimip_data::{Foreign, Material, foreign_format, has_cameras, is_archive, is_film, unpack_material};
 
-/// Fewest photographs from which cameras can be estimated.
+/// Minimum number of photographs from which cameras can be estimated.
 const FEWEST: usize = 3;
 
 /// The input of a capture.
@@ -17,11 +17,11 @@ pub enum Source {
 
 /// A photograph of the user.
 pub struct Photograph {
-    /// Its absolute path.
+    /// Absolute path of the file.
     pub path: PathBuf,
     /// Path relative to the folder of all photographs.
     pub name: PathBuf,
-    /// Its format, if it has to be converted.
+    /// Format of the file, if it has to be converted.
     pub foreign: Option<&'static Foreign>,
 }
 
@@ -33,10 +33,10 @@ pub struct Found {
     pub notes: Vec<String>,
 }
 
-/// Determines what a path names.
+/// Determines the kind of input that a path names.
 ///
 /// # Errors
-/// Of kind `Input`: the path does not exist or names something else, a scene that has cameras, too few photographs, several films.
+/// Of kind `Input`: the path does not exist, or it names a scene that has cameras, too few photographs, several films or something else.
 pub fn find(input: &Path) -> Result<Found> {
     let place = input.display();
     let absolute = std::path::absolute(input).unwrap_or_else(|_| input.into());
@@ -65,7 +65,7 @@ pub fn find(input: &Path) -> Result<Found> {
     ))
 }
 
-/// Determines what a folder holds. `named` is the path that the user typed.
+/// Determines what a folder contains. `named` is the path that the user typed.
 fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Found> {
     let place = named.display();
     let material = Material::of(folder);
@@ -84,7 +84,7 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
     let named_foreign = material.foreign.into_iter().map(|(path, _)| path);
     for path in material.pictures.into_iter().chain(named_foreign) {
         let name = path.strip_prefix(folder).unwrap_or(&path).to_path_buf();
-        // Phones may send HEIC under the file name of a JPEG.
+        // Phones may send HEIC files that are named like JPEGs.
         let foreign = foreign_format(&path);
         photographs.push(Photograph { path, name, foreign });
     }
@@ -132,7 +132,7 @@ fn of_folder(folder: &Path, named: &Path, mut notes: Vec<String>) -> Result<Foun
     Ok(Found { source: Source::Photographs(photographs), notes })
 }
 
-/// Leaves out photographs that need conversion if the folder has the same photograph in a format that can be read.
+/// Leaves out photographs that need conversion if the folder also has the same photograph in a readable format.
 fn without_copies(photographs: &mut Vec<Photograph>, notes: &mut Vec<String>) {
     let stem = |photograph: &Photograph| photograph.name.with_extension("");
     let read: std::collections::BTreeSet<PathBuf> =

@@ -10,18 +10,19 @@ use std::{cell::OnceCell, path::Path};
 use trimip::formatting::count;
 use trimip_core::scene::strays::LOST;
 
-/// A picture counts as blurred below this share of the sharpness of its neighbours.
+/// A picture counts as blurred if its sharpness, divided by that of its neighbours, is below this share.
 const BLURRED: f64 = 0.4;
 
-/// Neighbours on each side of a frame, and placed photographs that a photograph is compared with.
+/// Number of neighbours on each side of a frame, and number of placed photographs that a photograph is compared with.
 const NEIGHBOURS: usize = 4;
 const COMPARED: usize = 16;
 
-/// Features, and matches with one picture, below which a camera can hardly be placed. COLMAP's mapper needs 30 matches with known points.
+/// Minimum features, and minimum matches with one picture: with fewer, a camera can hardly be placed. COLMAP's mapper needs 30 matches with
+/// known points.
 const FEW_FEATURES: u64 = 300;
 const FEW_MATCHES: u64 = 60;
 
-/// Longest side at which sharpness is measured, pixels.
+/// Longest side of the pictures whose sharpness is measured, pixels.
 const MEASURED: u32 = 960;
 
 /// A picture that was not placed.
@@ -29,13 +30,13 @@ const MEASURED: u32 = 960;
 pub struct Unplaced {
     /// Path in `images/`.
     pub name: String,
-    /// The user's name of the picture.
+    /// Name of the picture in the user's input.
     pub source: String,
     /// Most likely reason.
     pub reason: String,
 }
 
-/// The pictures whose cameras are missing in the first model or lost, with reasons.
+/// Returns the pictures whose cameras are missing or lost in the first model, with reasons.
 pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path) -> Vec<Unplaced> {
     let all = &pictures.pictures;
     let Some((best, others)) = models.models.split_first() else { return Vec::new() };
@@ -66,7 +67,7 @@ pub fn find(pictures: &Pictures, models: &Models, images: &Path, database: &Path
     left.into_iter().map(unplaced).collect()
 }
 
-/// The most likely reason. `sharpness` is relative to that of the neighbours; `counts` come from the database.
+/// Returns the most likely reason. `sharpness` is relative to that of the neighbours; `counts` come from the database.
 fn reason(sharpness: Option<f64>, counts: Option<Counts>) -> String {
     let blurred = sharpness.filter(|share| *share < BLURRED);
     let matched = |Counts { features, pairs, most }: Counts| {
@@ -89,18 +90,18 @@ fn reason(sharpness: Option<f64>, counts: Option<Counts>) -> String {
     }
 }
 
-/// Sharpness of pictures relative to others.
+/// Sharpness of pictures relative to that of other pictures.
 struct Sharpness<'a> {
     all: &'a [Picture],
     images: &'a Path,
     placed: &'a dyn Fn(&Picture) -> bool,
-    /// Median sharpness of some placed photographs.
+    /// Median sharpness of the placed photographs that were measured.
     of_placed: OnceCell<Option<f64>>,
 }
 
 impl Sharpness<'_> {
-    /// Sharpness of a picture divided by the median of its neighbours, or for photographs by that of some placed ones; `None` if one cannot
-    /// be read.
+    /// Returns the sharpness of a picture divided by a median: for a frame, that of its neighbours; for a photograph, that of up to 16
+    /// placed photographs. `None` if a sharpness cannot be measured.
     fn of_neighbours(&self, index: usize) -> Option<f64> {
         let own = self.of(&self.all[index])?;
         let median = match self.all[index].sharpness {
@@ -131,7 +132,7 @@ impl Sharpness<'_> {
     }
 }
 
-/// Sharpness of a photograph at a reduced size, because its pixel-level detail says little.
+/// Returns the sharpness of a photograph at a reduced size, because its detail at the level of pixels says little.
 fn sharpness(path: &Path) -> Option<f64> {
     let reader = image::ImageReader::open(path).ok()?.with_guessed_format().ok()?;
     let grey = reader.decode().ok()?.into_luma8();

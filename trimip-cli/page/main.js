@@ -7,7 +7,7 @@ import start, { Viewer } from "./trimip_web.js";
 const find = (id) => document.getElementById(id);
 const view = find("view");
 
-/** Time of a picture while the camera moves, milliseconds. */
+/** Time limit of a picture while the camera moves, milliseconds. */
 const COARSE = 60;
 
 /** Milliseconds without a change after which the camera counts as still. */
@@ -16,7 +16,7 @@ const STILL = 160;
 /** Longest side of a picture, pixels. */
 const MOST = 2048;
 
-/** Fewest pixels along the longer side of a picture. */
+/** Minimum number of pixels along the longer side of a picture. */
 const LEAST = 48;
 
 function say(text) {
@@ -58,7 +58,7 @@ let viewer, orbit;
 let speed = 20;
 let [running, wanted] = [null, null];
 
-/** Requests a picture; the promise is fulfilled once all requested pictures are drawn. */
+/** Requests a picture; the promise is fulfilled once the newest requested picture is drawn. */
 function draw(moving) {
   wanted = { moving };
   running ??= drawAll().finally(() => (running = null));
@@ -133,7 +133,7 @@ try {
   new ResizeObserver(changed).observe(view);
   say("");
   view.focus({ preventScroll: true });
-  // For scripts: the RGBA pixels of a view, of everything or only of the crop.
+  // An interface for scripts that returns the RGBA pixels of a view, of everything or only of the crop.
   window.trimip = { render: (pose, fov, width, height, cropped = false) => viewer.render(Float64Array.from(pose), fov, width, height, cropped) };
 } catch (error) {
   say(error.message ?? String(error));

@@ -1,5 +1,5 @@
-//! The allocator of the program: the system's, except that the program ends with one line and exit code 3 (the device is too small) when
-//! memory runs out. Rust's default is to abort.
+//! The program's allocator. It forwards to the system's allocator, but when memory runs out it ends the program with
+//! one line and exit code 3 (the device is too small). Rust's default is to abort.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::io::Write;
@@ -7,10 +7,10 @@ use std::io::Write;
 #[global_allocator]
 static ALLOCATOR: Ending = Ending;
 
-/// The system's allocator; ends the program when no memory is left.
+/// Forwards to the system's allocator, and ends the program when no memory is left.
 struct Ending;
 
-/// Ends the program if `memory` is null. The message needs no allocation.
+/// Returns `memory`, or ends the program if it is null. The message needs no allocation.
 fn given(memory: *mut u8, layout: Layout) -> *mut u8 {
     if memory.is_null() {
         let _ = writeln!(

@@ -31,7 +31,7 @@ use std::path::PathBuf;
                   2 wrong input, 3 the device or the system failed, 130 stopped by Ctrl-C (saved; the same command resumes)."
 )]
 pub struct Arguments {
-    /// What to do; without a verb, the program trains.
+    /// The verb; without one, the program trains.
     #[command(subcommand)]
     pub verb: Option<Verb>,
     /// Options of training.
@@ -62,7 +62,7 @@ pub enum Verb {
     Render(Box<RenderArguments>),
     /// Show a model in a browser: turn, zoom, compare with the photographs
     View(ViewArguments),
-    /// Compute the proxy of a model, with which hybrid rendering needs few samples, and store it in the model file
+    /// Compute the proxy of a model, which lets hybrid rendering use few samples, and store it in the model file
     Bake(BakeArguments),
     /// Export a model for other programs: a triangle mesh, or a page for any web server
     Export(ExportArguments),
@@ -77,7 +77,7 @@ pub enum Verb {
     /// Train the systems of the paper's tables on the same scenes, splits and seeds, for equal time, and compare them with each other and
     /// with the published figures: tables, curves and crops on one page
     Paper(PaperArguments),
-    /// Run the catalogue of stiff and extreme cases; exit code 1 if a case violates its law
+    /// Run the catalogue of stiff and extreme cases; the exit code is 1 if a case violates its law
     Check(CheckArguments),
     /// Show what this machine and this build support
     Doctor,
@@ -104,10 +104,10 @@ pub struct TrainArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Run folder [default: runs/NAME, where NAME is that of the configuration file or of FOLDER, then of the system]
+    /// Run folder [default: runs/NAME, where NAME is the name of the configuration file or of FOLDER, followed by that of the system]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Start over: replaces the run in the folder
+    /// Start over and replace the run in the folder
     #[arg(long)]
     pub fresh: bool,
     /// Continue a finished run for this time, e.g. 90s, 5m, 1h; the schedule is stretched to the new length
@@ -119,19 +119,19 @@ pub struct TrainArguments {
     /// How progress is shown
     #[arg(long, value_enum, default_value_t, value_name = "STYLE")]
     pub progress: ProgressStyle,
-    /// Show every decision of the plan with its reason, and what the memory is used for
+    /// Show every decision of the plan with its reason, and the use of memory
     #[arg(short, long)]
     pub verbose: bool,
-    /// Show the model in a browser during training, with the curve of its error; prints the address
+    /// Show the model and the curve of its error in a browser during training; prints the address
     #[arg(long)]
     pub view: bool,
-    /// Port of --view on this machine; 0 takes a free one
+    /// Port of --view on this machine; 0 selects a free port
     #[arg(long, default_value_t = 0, value_name = "N", requires = "view")]
     pub port: u16,
 }
 
 impl TrainArguments {
-    /// True if no argument names data to train on.
+    /// Returns true if no argument names data to train on.
     pub fn is_bare(&self) -> bool {
         let named =
             self.scene.folder.is_some() || self.settings.config.is_some() || self.continue_for.is_some();
@@ -148,8 +148,8 @@ pub struct PlanArguments {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArguments,
-    /// Train briefly with and without each part that the plan leaves out, with equally many samples; compare dB on held-out training views,
-    /// seconds and bytes
+    /// Train briefly with and without each part that the plan leaves out, with equally many samples, and compare the PSNR on held-out
+    /// training views, seconds and bytes
     #[arg(long)]
     pub measure: bool,
     /// Millions of samples per run of --measure
@@ -187,15 +187,15 @@ pub struct EvalArguments {
 pub struct ViewArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// Address to listen on; beyond loopback, everybody who knows the token has access
+    /// Address to listen on; on addresses other than loopback, everybody who knows the token has access
     #[arg(long, default_value = "127.0.0.1", value_name = "ADDRESS")]
     pub bind: IpAddr,
-    /// Port; 0 takes a free one
+    /// Port; 0 selects a free port
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub port: u16,
     /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page shows the crop
-    /// or everything
+    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page toggles between
+    /// the crop and everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
     /// Override a setting of data, renderer, hybrid, backend, threads or wgpu (data.root=.. for a moved data set)
@@ -228,7 +228,7 @@ pub struct CheckArguments {
     /// Include the cases that take minutes: 100,000 training steps
     #[arg(long)]
     pub long: bool,
-    /// Threads of the CPU backend; 0 = all
+    /// Number of threads of the CPU backend; 0 = all
     #[arg(long, default_value_t = 0)]
     pub threads: u32,
     /// Write the table as JSON

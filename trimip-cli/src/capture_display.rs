@@ -8,22 +8,22 @@ use std::{
 };
 use trimip_capture::Event;
 
-/// Template of the bar, which counts thousandths.
+/// Template of the bar, whose length is [`STEPS`].
 const BAR: &str = "{bar:12} {percent:>3} %  {wide_msg}";
 const STEPS: u64 = 1000;
 
-/// Shortest time between two events of progress.
+/// Minimum time between two progress events.
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// Shows the progress of a capture.
 pub struct Display {
-    /// `None` prints JSON.
+    /// The bar; if it is `None`, events are printed as JSON.
     bar: Option<ProgressBar>,
     told: Cell<Option<Instant>>,
 }
 
 impl Display {
-    /// Creates the display for a style; `Auto` selects the bar if a person watches.
+    /// Creates the display for a style; `Auto` selects the bar if both outputs are terminals.
     pub fn new(style: ProgressStyle) -> Self {
         let is_json = match style {
             ProgressStyle::Json => true,
@@ -48,7 +48,7 @@ impl Display {
         }
     }
 
-    /// Prints an event as a line of JSON; events of progress that follow too quickly are dropped.
+    /// Prints an event as a line of JSON; progress events that follow too quickly are dropped.
     fn print(&self, event: &Event<'_>) {
         match event {
             Event::Begun { .. } => self.told.set(None),

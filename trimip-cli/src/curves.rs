@@ -15,11 +15,11 @@ pub use trimip::run::curve::Measure;
 pub struct Curve {
     /// Display name.
     pub name: String,
-    /// Measurements during training, by time.
+    /// Measurements during training, in order of time.
     pub points: Vec<Measure>,
     /// The final measurement, if it uses other test views than the curve.
     pub last: Option<Measure>,
-    /// The run folder, if the curve is a run's.
+    /// The run folder, if the curve comes from a run.
     pub folder: Option<PathBuf>,
 }
 
@@ -28,7 +28,7 @@ pub struct Curve {
 pub struct Reach {
     /// Seconds of training.
     pub seconds: f64,
-    /// True if the first measurement is already above the PSNR, which was then reached at this time or earlier.
+    /// True if the first measurement is already above the PSNR, so that the PSNR was reached at this time or earlier.
     pub at_most: bool,
 }
 
@@ -39,7 +39,7 @@ impl std::fmt::Display for Reach {
 }
 
 impl Curve {
-    /// Reads `path` or `name=path`; the curve of a folder is its `error_vs_time.csv`.
+    /// Reads the curve that `path` or `name=path` names; the curve of a folder is its `error_vs_time.csv`.
     pub fn read(text: &str) -> Result<Self> {
         let (name, path) = match text.split_once('=') {
             Some((name, path)) if !Path::new(text).exists() => (name.to_string(), Path::new(path)),
@@ -52,7 +52,7 @@ impl Curve {
         Ok(Self { name, points, last, folder })
     }
 
-    /// The curve of a run from its history.
+    /// Returns the curve of a run, from its history.
     ///
     /// # Errors
     /// When the run was never evaluated.
@@ -68,8 +68,8 @@ impl Curve {
         Ok(Self { name: folder.display().to_string(), points, last, folder: Some(folder.to_path_buf()) })
     }
 
-    /// The time at which the curve first reaches `psnr`; `None` if it never does. Interpolates linearly over the
-    /// logarithm of time, or over time after a measurement at time zero.
+    /// Returns the time at which the curve first reaches `psnr`; `None` if it never does. Interpolates linearly over
+    /// the logarithm of time, or over time itself after a measurement at time zero.
     pub fn reaches(&self, psnr: f64) -> Option<Reach> {
         let at = |seconds: f64| Some(Reach { seconds, at_most: false });
         let mut before: Option<&Measure> = None;
@@ -101,12 +101,12 @@ impl Curve {
             color: color.into(),
             class: "mean",
             points: self.points.iter().map(point).collect(),
-            // If it is the end of the curve, it is drawn already.
+            // No ring is drawn if the last measurement is also the end of the curve.
             ring: self.last.as_ref().filter(|last| self.points.last() != Some(last)).map(point),
         }
     }
 
-    /// The `report.json` of the curve's run; null if there is none.
+    /// Reads the `report.json` of the curve's run; returns null if there is none.
     pub fn report(&self) -> serde_json::Value {
         let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
         text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
@@ -125,7 +125,7 @@ impl Curve {
     }
 }
 
-/// A PSNR and the time at which it is reached; `seconds` is null if it never is.
+/// Returns a PSNR and the time at which it is reached, as JSON; `seconds` is null if the PSNR is never reached.
 pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
     serde_json::json!({
         "psnr": psnr,
@@ -134,7 +134,7 @@ pub fn reach_json(psnr: f64, reach: Option<Reach>) -> serde_json::Value {
     })
 }
 
-/// The [`rows`] for a terminal.
+/// Formats the [`rows`] for a terminal.
 pub fn table(curves: &[Curve], reach: &[f64]) -> String {
     let mut rows = rows(curves, reach);
     let reports: Vec<_> = curves.iter().map(Curve::report).collect();
@@ -151,10 +151,10 @@ pub fn table(curves: &[Curve], reach: &[f64]) -> String {
     aligned(&rows)
 }
 
-/// Number of columns before the times at which PSNRs are reached.
+/// Number of columns before those of the times at which PSNRs are reached.
 const BEFORE_REACH: usize = 4;
 
-/// A header, then one row per curve: its end, and the time at which it reaches each PSNR.
+/// Returns a header, then one row per curve: its end, and the time at which it reaches each PSNR.
 pub fn rows(curves: &[Curve], reach: &[f64]) -> Vec<Vec<String>> {
     let mut rows = vec![vec!["curve".to_string(), "seconds".into(), "PSNR / dB".into(), "final / dB".into()]];
     rows[0].extend(reach.iter().map(|psnr| format!("{psnr} dB after")));
@@ -170,7 +170,7 @@ pub fn rows(curves: &[Curve], reach: &[f64]) -> Vec<Vec<String>> {
     rows
 }
 
-/// Rows as lines of aligned columns: the first column left-aligned, the others right-aligned.
+/// Formats rows as lines of aligned columns: the first column left-aligned, the others right-aligned.
 pub fn aligned(rows: &[Vec<String>]) -> String {
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let lines: Vec<String> = rows
@@ -206,7 +206,7 @@ mod tests {
         let at = |seconds, at_most| Some(Reach { seconds, at_most });
         assert_eq!((curve.reaches(30.0), curve.reaches(30.1)), (at(100.0, false), None));
         assert_eq!(from_the_start.reaches(15.0), at(20.0, false));
-        // A PSNR below the first measurement was reached by then, unless that measurement is at time zero.
+        // A PSNR below the first measurement was reached by the time of this measurement, unless that time is zero.
         assert_eq!((curve.reaches(15.0), from_the_start.reaches(5.0)), (at(10.0, true), at(0.0, false)));
         let table = table(&[curve], &[15.0, 25.0, 40.0]);
         assert!(table.contains("≤ 10.0 s") && table.contains(" 31.6 s") && table.ends_with('–'), "{table}");

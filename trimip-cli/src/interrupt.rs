@@ -1,4 +1,4 @@
-//! Ctrl-C: the first one asks the run to stop and save, a second one ends the program immediately.
+//! Ctrl-C: the first one makes the run stop and save, the second one ends the program immediately.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
@@ -7,7 +7,7 @@ use trimip_core::{Error, Result};
 /// Exit code of a stopped program: 128 + SIGINT, the shell convention.
 pub const EXIT_CODE: u8 = 130;
 
-/// True once the program is asked to stop.
+/// True once the program has been asked to stop.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 
 /// True once the signal handler is installed.
@@ -28,7 +28,7 @@ pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
     })
 }
 
-/// Sets the stop flag, as a first signal does. Repeated calls never end the program.
+/// Sets the stop flag, as a first signal would. Repeated calls never end the program.
 #[cfg(feature = "mpi")]
 pub fn ask() {
     STOP.store(true, Ordering::SeqCst);
@@ -40,7 +40,7 @@ pub fn outlive(act: impl Fn() + Send + 'static) -> Result<Arc<AtomicBool>> {
     catch(move |_| act())
 }
 
-/// Installs the handler. Every signal sets the stop flag and calls `act`: with false the first time, then with true.
+/// Installs the handler. Every signal sets the stop flag and calls `act`: the first time with false, then with true.
 fn catch(act: impl Fn(bool) + Send + 'static) -> Result<Arc<AtomicBool>> {
     let mut watched = WATCHED.lock().unwrap_or_else(PoisonError::into_inner);
     if *watched {
@@ -62,13 +62,13 @@ fn catch(act: impl Fn(bool) + Send + 'static) -> Result<Arc<AtomicBool>> {
     Ok(Arc::clone(&STOP))
 }
 
-/// The hang-up signal, which a closing terminal sends. `nohup` starts a program with this signal ignored, and it must stay ignored.
+/// The hang-up signal, which a terminal sends when it closes. `nohup` starts a program with this signal ignored, and it must stay ignored.
 #[cfg(unix)]
 #[allow(unsafe_code)] // signal handlers have no safe interface
 mod hang_up {
     use nix::sys::signal::{SigHandler, Signal, signal};
 
-    /// Ignores the signal. True if it was ignored before.
+    /// Ignores the signal. Returns true if it was ignored already.
     pub fn ignore() -> bool {
         // SAFETY: an ignored signal runs no code.
         let before = unsafe { signal(Signal::SIGHUP, SigHandler::SigIgn) };

@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     let arguments = match args::Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(answer) if !ranks::speaks() => return ExitCode::from(answer.exit_code() as u8),
-        // Help and version are not errors. Other parse results are, and are printed on one line like every error.
+        // Help and version are not errors. All other parse results are errors, which the program prints on one line like every error.
         Err(answer) if !answer.use_stderr() => {
             terminal::note_failure(answer.print());
             return ended(Ok(0));
@@ -46,7 +46,7 @@ fn main() -> ExitCode {
     ended(ranks::among(|| verbs::run(&arguments), |ranks| verbs::work(&arguments, ranks)))
 }
 
-/// The exit code for an outcome. A failed write to standard output is the error if there is no other.
+/// Returns the exit code for an outcome. If there is no other error, a failed write to standard output counts as the error.
 fn ended(outcome: Result<u8>) -> ExitCode {
     ExitCode::from(match outcome.and_then(|code| terminal::printed().map(|()| code)) {
         Ok(code) => code,

@@ -2,12 +2,12 @@
 
 use trimip_core::measures::quality::{Measures, ScaleQuality, mean_quality};
 
-/// Smallest difference at which a second kind of PSNR is shown, dB.
+/// Minimum difference in dB for a second kind of PSNR to be shown.
 const TELLING: f64 = 0.005;
 
-/// PSNR, SSIM and the measured perceptual metrics, per scale and as their mean, in aligned lines of at most 80 columns. If it differs from
-/// the PSNR, a second one is shown: that at the exposure of each photograph, or else that without the set's edge exponents. The report has
-/// all kinds.
+/// Formats PSNR, SSIM and the measured perceptual metrics, per scale and as their mean, in aligned lines of at most 80 columns. Shows a
+/// second kind of PSNR if it differs from the first: the PSNR at the exposure of each photograph, or else the PSNR without the set's edge
+/// exponents. The report has all kinds.
 pub fn table(scales: &[ScaleQuality]) -> Vec<String> {
     let mean = mean_quality(scales);
     let psnr = [

@@ -1,4 +1,4 @@
-//! Reports mistakes on the command line as errors of one line.
+//! Reports errors on the command line in one line each.
 
 use crate::args::Arguments;
 use clap::{
@@ -8,12 +8,12 @@ use clap::{
 use std::{ffi::OsStr, path::Path};
 use trimip_core::Error;
 
-/// The error for arguments that clap rejected. `first` is the first argument.
+/// Returns the error for arguments that clap rejected. `first` is the first argument.
 pub fn error(mistake: &clap::Error, first: Option<&OsStr>) -> Error {
     if let Some(word) = first.and_then(OsStr::to_str).filter(|word| !is_verb(word) && is_missing(word)) {
         return no_verb(word);
     }
-    // clap's text: a line that says what is wrong, then paragraphs with tips and usage.
+    // clap's text has a line that states the error, then paragraphs with tips and usage.
     let text = mistake.render().to_string();
     let text = text.split("\nUsage:").next().unwrap_or_default();
     let text = text.split("\nFor more").next().unwrap_or_default();
@@ -23,13 +23,13 @@ pub fn error(mistake: &clap::Error, first: Option<&OsStr>) -> Error {
         .filter(|line| !line.is_empty())
         .partition(|line| line.starts_with("tip: "));
     let what = what.join(" ");
-    // clap suggests passing an unknown option as a value, which is seldom meant.
+    // clap suggests to pass an unknown option as a value; users seldom mean that.
     let tips = tips.into_iter().map(|tip| &tip["tip: ".len()..]).filter(|tip| !tip.starts_with("to pass "));
     let advice: Vec<&str> = tips.chain(["see trimip-cli --help"]).collect();
     Error::input("command line", what.trim_start_matches("error: "), advice.join("; "))
 }
 
-/// The error for a word in the place of a verb or a folder that is neither.
+/// Returns the error for a word in the place of a verb or a folder that is neither.
 pub fn no_verb(word: &str) -> Error {
     let advice = match similar_verb(word) {
         Some(verb) => format!("did you mean `trimip-cli {verb}`? `trimip-cli --help` shows all verbs"),
@@ -38,7 +38,7 @@ pub fn no_verb(word: &str) -> Error {
     Error::input(word, "is neither a verb nor a folder", advice)
 }
 
-/// True if `word` is neither an option nor the name of anything in the working directory.
+/// Returns true if `word` is neither an option nor the name of anything in the working directory.
 fn is_missing(word: &str) -> bool {
     !word.starts_with('-') && !Path::new(word).exists()
 }
@@ -47,7 +47,7 @@ fn is_verb(word: &str) -> bool {
     word == "help" || Arguments::command().get_subcommands().any(|verb| verb.get_name() == word)
 }
 
-/// The verb that `word` resembles most, if it resembles one.
+/// Returns the verb that `word` resembles most; `None` if it resembles no verb.
 fn similar_verb(word: &str) -> Option<String> {
     let verbs = Arguments::command();
     let verbs = Command::new("verbs").subcommands(verbs.get_subcommands().cloned());

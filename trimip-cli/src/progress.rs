@@ -11,7 +11,7 @@ use trimip_core::{
 use trimip_data::settings::DataConfig;
 use trimip_data::{Scene, Watch};
 
-/// Template of the training bar, which counts thousandths; the message takes the rest of the terminal's width.
+/// Template of the training bar, which has a thousand steps; the message takes the rest of the terminal's width.
 const TRAINING: &str = "{bar:12} {percent:>3} %  {wide_msg}";
 
 /// Message while a scene is opened.
@@ -28,13 +28,13 @@ pub enum Display {
 /// The bar of a training run.
 pub struct Training {
     bar: ProgressBar,
-    /// True if all lines of the plan are shown, otherwise its summary.
+    /// True to show all lines of the plan; otherwise only its summary is shown.
     verbose: bool,
     started: Instant,
 }
 
 impl Display {
-    /// Creates the display for a style; `Auto` selects the bar if a person watches.
+    /// Creates the display for a style; `Auto` selects the bar if both outputs are terminals.
     pub fn new(style: ProgressStyle, verbose: bool) -> Self {
         match style {
             ProgressStyle::Json => Self::Json,
@@ -62,13 +62,13 @@ impl EventSink for Display {
     }
 }
 
-/// A bar over `length` units on standard error.
+/// Creates a bar of `length` units on standard error.
 pub fn bar(template: &str, length: u64) -> ProgressBar {
     let style = BarStyle::with_template(template).unwrap_or_else(|_| BarStyle::default_bar());
     ProgressBar::new(length).with_style(style.progress_chars("━╸─"))
 }
 
-/// A spinner on standard error for work of unknown length; hidden if nobody watches.
+/// Creates a spinner on standard error for work of unknown length; it is hidden unless both outputs are terminals.
 pub fn spinner() -> ProgressBar {
     if !terminal::watched() {
         return ProgressBar::hidden();
@@ -80,7 +80,7 @@ pub fn spinner() -> ProgressBar {
     spinner
 }
 
-/// Does work that reports its progress in rows. On a terminal, a bar shows the progress and `doing`.
+/// Does work that reports its progress in rows. On a terminal, a bar shows the progress and the text `doing`.
 pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
     if !terminal::watched() {
         return work(&trimip_data::unwatched);
@@ -95,14 +95,14 @@ pub fn by_rows<T>(doing: &'static str, work: impl FnOnce(Watch<'_>) -> T) -> T {
     result
 }
 
-/// A bar of the rows read. It appears with the first report and disappears at the end; hidden if nobody watches.
+/// A bar of the rows that have been read. It appears with the first report and disappears at the end; without a terminal it is hidden.
 #[derive(Default)]
 pub struct Reading {
     bar: OnceLock<ProgressBar>,
 }
 
 impl Reading {
-    /// Reports that `done` of `total` rows are read.
+    /// Reports that `done` of `total` rows have been read.
     pub fn rows(&self, done: u64, total: u64) {
         let bar = self.bar.get_or_init(|| match terminal::watched() {
             true => bar("{bar:20} {percent:>3} %  {msg}, {eta} left", 0).with_message(READING),
@@ -144,7 +144,7 @@ impl Training {
                 ));
             }),
             Event::Step { totals, batch_psnr, samples_per_second, seconds_left, .. } => {
-                // The bar shows the share of the expected total time that has passed. It never moves back when the estimate grows.
+                // The bar shows which share of the expected total time has passed. It never moves back when the estimate grows.
                 let passed = self.started.elapsed().as_secs_f64();
                 let left = if seconds_left.is_finite() { seconds_left.max(0.0) } else { f64::INFINITY };
                 let part = passed / (passed + left);
@@ -190,7 +190,7 @@ impl Training {
     }
 }
 
-/// One line about a finished training: steps, time, samples and rays with their rates.
+/// Returns a line about a finished training: steps, time, samples and rays with their rates.
 pub fn trained(totals: &Totals) -> String {
     let drawn = totals.backward_fraction().filter(|fraction| *fraction < 1.0);
     let drawn =
@@ -208,7 +208,7 @@ pub fn trained(totals: &Totals) -> String {
     )
 }
 
-/// Message next to the training bar: step, PSNR of the step's own pixels in dB, kept samples per second, seconds left.
+/// Returns the message next to the training bar: step, PSNR of the step's own pixels in dB, kept samples per second, seconds left.
 fn message(step: u64, psnr: f64, samples_per_second: f64, seconds_left: f64) -> String {
     let speed = terminal::number(samples_per_second, "samples/s");
     format!("step {step}  {psnr:.2} dB  {speed}  {} left", terminal::duration(seconds_left))

@@ -6,17 +6,17 @@ mod supervisor;
 use std::sync::Arc;
 use trimip_core::{Result, engine::exchange::Ranks};
 
-/// True on rank 0, or without MPI: the only process that prints.
+/// Returns true on rank 0, or without MPI, for the only process that prints.
 pub fn speaks() -> bool {
     trimip_mpi::launched().id == 0
 }
 
-/// The ranks of this program, if there are several.
+/// Returns the ranks of this program, if there are several.
 pub fn all() -> Option<Arc<dyn Ranks>> {
     launched::all()
 }
 
-/// Runs `program` on rank 0 while the other ranks follow it and do `work` on its jobs; without a launcher, only runs it.
+/// Runs `program` on rank 0, while the other ranks follow its orders and do `work` on its jobs. Without a launcher, only runs `program`.
 ///
 /// # Errors
 /// Errors of the program, and when the ranks cannot work together.
@@ -50,12 +50,12 @@ mod launched {
         supervisor::heed()?;
         let world = Arc::clone(WORLD.get_or_init(|| Arc::new(World::default())));
         if let Err(error) = world.start() {
-            // All ranks have the same error.
+            // All ranks have the same error, so only rank 0 reports it.
             return if super::speaks() { Err(error) } else { Ok(exit_code(&error)) };
         }
         let rank = world.rank().id;
         let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, work) };
-        // The other ranks would wait for a rank that panicked.
+        // Without the abort, the other ranks would wait for a rank that panicked.
         let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
             terminal::aside(format!("error: rank {rank} panicked"));
             world.abort(3)

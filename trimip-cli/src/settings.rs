@@ -1,4 +1,4 @@
-//! Validated settings from the command line.
+//! Settings from the command line, validated.
 
 use crate::{
     args::{SceneArguments, SettingsArguments},
@@ -27,7 +27,7 @@ pub fn load(arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     Ok((settings, config))
 }
 
-/// Like [`load`], with the folder and the minutes of the command line. They override the file, and `--set` overrides them.
+/// Like [`load`], with the folder and the minutes of the command line. These override the file, and `--set` overrides them.
 pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Result<(Settings, Config)> {
     let mut set = Vec::new();
     if let Some(folder) = &scene.folder {
@@ -47,7 +47,7 @@ pub fn load_scene(scene: &SceneArguments, arguments: &SettingsArguments) -> Resu
     load(&SettingsArguments { set, ..arguments.clone() })
 }
 
-/// The folder or archive of a scene, as `data.root`. The error for anything else suggests what to type.
+/// Returns the folder or archive of a scene, as `data.root`. For anything else, the error suggests what to type.
 pub fn scene_root(folder: &Path) -> Result<String> {
     let (place, name) = (folder.display(), folder.file_name().unwrap_or_default().to_string_lossy());
     let text = |path: &Path| {
@@ -87,7 +87,7 @@ pub fn scene_root(folder: &Path) -> Result<String> {
     Err(Error::input(folder, "is a file, not the folder of a scene", advice))
 }
 
-/// Parses a duration such as `90s`, `5m` or `1.5h` to seconds; a bare number is minutes.
+/// Parses a duration such as `90s`, `5m` or `1.5h` and returns it in seconds; a number without a unit means minutes.
 pub fn duration(place: &str, text: &str) -> Result<f64> {
     let text = text.trim();
     let end = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
@@ -103,7 +103,8 @@ pub fn duration(place: &str, text: &str) -> Result<f64> {
         .ok_or_else(|| Error::input(place, format!("`{text}` is not a duration"), "write 90s, 5m or 1h"))
 }
 
-/// Default run folder: `runs/` and the name of the configuration file, or else of the scene's archive or folder, followed by the system.
+/// Returns the default run folder: `runs/` and the name of the configuration file, or else of the scene's archive or folder, followed by
+/// the system.
 pub fn default_folder(
     config: Option<&Path>,
     scene: Option<&Path>,

@@ -1,4 +1,4 @@
-//! Output to the user, wrapped to a terminal's width and otherwise unwrapped. A failed write to standard output does not end a run. It is
+//! Output to the user. On a terminal it is wrapped to the terminal's width. A failed write to standard output does not end a run. It is
 //! reported when the program ends, unless the reader closed the pipe (`| head`).
 
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 pub use trimip::formatting::{bytes, count, duration, many, number};
 use trimip::{Error, Result};
 
-/// Assumed width of a terminal that does not report it, columns.
+/// Width that is assumed for a terminal that reports none, columns.
 const USUAL_WIDTH: usize = 80;
 
 /// Minimum wrap width, columns.
@@ -26,7 +26,7 @@ pub fn line(text: impl std::fmt::Display) {
 /// Succeeds if all lines on standard output were written.
 ///
 /// # Errors
-/// When a line was not written, for another reason than a closed pipe.
+/// When a line was not written, unless the reason is a closed pipe.
 pub fn printed() -> Result<()> {
     note_failure(std::io::stdout().flush());
     match UNPRINTED.get() {
@@ -39,14 +39,14 @@ pub fn printed() -> Result<()> {
     }
 }
 
-/// Keeps the first failure to write to standard output for [`printed`].
+/// Stores the first failure to write to standard output, for [`printed`].
 pub fn note_failure(written: std::io::Result<()>) {
     if let Err(error) = written {
         let _ = UNPRINTED.set(error);
     }
 }
 
-/// Prints prose on standard output, wrapped to the width of a terminal; one line otherwise.
+/// Prints prose on standard output, wrapped to the width of a terminal. If the output is not a terminal, prints one line.
 pub fn prose(text: impl std::fmt::Display) {
     match width(&console::Term::stdout()) {
         Some(width) => line(wrapped(&text.to_string(), width)),
@@ -54,7 +54,7 @@ pub fn prose(text: impl std::fmt::Display) {
     }
 }
 
-/// Prints prose on standard error if a person watches, otherwise nothing.
+/// Prints prose on standard error if both outputs are terminals, otherwise nothing.
 pub fn note(text: impl std::fmt::Display) {
     if watched() {
         let width = width(&console::Term::stderr()).unwrap_or(USUAL_WIDTH);
@@ -67,24 +67,25 @@ pub fn aside(text: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }
 
-/// Prints the one line that says why the program failed.
+/// Prints the line that states why the program failed.
 pub fn error(error: &Error) {
     let _ = writeln!(std::io::stderr().lock(), "error: {}", crate::wording::text(error));
 }
 
-/// True if standard output and standard error are terminals. The program then shows a bar and tables, otherwise one JSON object per line.
+/// Returns true if standard output and standard error are terminals. The program then shows a bar and tables, otherwise one JSON object per
+/// line.
 pub fn watched() -> bool {
     std::io::stdout().is_terminal() && std::io::stderr().is_terminal()
 }
 
-/// Width of a terminal in columns; `None` if the stream is not a terminal.
+/// Returns the width of a terminal in columns; `None` if the stream is not a terminal.
 fn width(terminal: &console::Term) -> Option<usize> {
     let told = || terminal.size_checked().map_or(USUAL_WIDTH, |(_, columns)| columns.into());
     terminal.is_term().then(|| told().max(LEAST_WIDTH))
 }
 
-/// Wraps text to lines of at most `width` characters at word boundaries, with continuation lines indented. A longer
-/// word (a path) is not split; spaces within a line are kept.
+/// Wraps text to lines of at most `width` characters at word boundaries, with continuation lines indented. A word (a path) longer than a
+/// line is not split; spaces within a line are kept.
 pub fn wrapped(text: &str, width: usize) -> String {
     let length = |text: &str| text.chars().count();
     let mut lines = vec![String::new()];

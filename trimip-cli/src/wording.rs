@@ -2,7 +2,7 @@
 
 use trimip_core::{Advice, Error, ErrorKind, Origin, Place};
 
-/// 1 the run failed, 2 the input is wrong, 3 the device failed, 130 the user stopped the program.
+/// Returns the exit code of an error: 1 the run failed, 2 the input is wrong, 3 the device failed, 130 the user stopped the program.
 pub fn exit_code(error: &Error) -> u8 {
     match error.kind() {
         ErrorKind::Input => 2,
@@ -12,7 +12,7 @@ pub fn exit_code(error: &Error) -> u8 {
     }
 }
 
-/// The error as one line.
+/// Formats the error as one line.
 pub fn text(error: &Error) -> String {
     error.text_with(place, advice)
 }

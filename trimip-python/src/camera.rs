@@ -10,7 +10,7 @@ use serde_json::Value;
 use trimip::view::cameras::{aimed, posed, resized};
 use trimip::{Intrinsics, data};
 
-/// Any array-like of numbers.
+/// Any array-like object of numbers.
 pub type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
 /// Three numbers.
@@ -106,8 +106,8 @@ impl Camera {
         Ok(Self(aimed("Camera.look_at", eye, target, up, k.intrinsics()?).map_err(raised)?))
     }
 
-    /// Creates one camera per matrix of `poses`, [N, 3|4, 4]. The projection is given as for `Camera`: one number for all cameras, or one
-    /// each.
+    /// Creates one camera per matrix of `poses`, [N, 3|4, 4]. The projection has the parameters of `Camera`, each as one number for all
+    /// cameras or as one per camera.
     #[staticmethod]
     #[pyo3(signature = (poses, width, height, *, fov=None, fx=None, fy=None, cx=None, cy=None))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]

@@ -1,4 +1,4 @@
-//! `trimip.capture`, and the process that guards the programs that a capture calls.
+//! `trimip.capture`, and the guard process between Python and the programs that a capture calls.
 
 use crate::error::{raised, refused};
 use crate::listening::Listener;
@@ -9,13 +9,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 use trimip_capture::{Event, Request, guard};
 
-/// Interval at which Ctrl-C is polled.
+/// Interval between two checks for Ctrl-C.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 /// Python code of the guard process.
 const GUARD: &str = "import sys; from trimip import _trimip; sys.exit(_trimip.run_guard(sys.argv[1:]))";
 
-/// Parses a choice from its name.
+/// Parses the name of a choice.
 fn choice<T: DeserializeOwned>(option: &str, name: Option<&str>) -> PyResult<Option<T>> {
     let parsed = |name: &str| {
         serde_json::from_value(name.into())
@@ -27,9 +27,9 @@ fn choice<T: DeserializeOwned>(option: &str, name: Option<&str>) -> PyResult<Opt
 /// Finds the cameras of a film or of photographs. Returns the folder of the capture, which is a scene.
 ///
 /// `input` is a film, a folder of photographs, or a zip archive of either; `out` defaults to `captures/<name>`. The same call continues
-/// from the results of an earlier one. ffmpeg and COLMAP (the program or the package pycolmap) do the work; an error names what is missing
-/// and how to install it. `poses`, `camera`, `matcher` and `mapper` take the names of `trimip-cli capture --help`. `callback` receives
-/// every event as a dictionary; if it returns False, the capture stops and keeps the finished stages, as at Ctrl-C.
+/// from the results of an earlier one. ffmpeg and COLMAP (the program or the package pycolmap) do the work. If one is missing, the error
+/// states its name and how to install it. `poses`, `camera`, `matcher` and `mapper` take the names of `trimip-cli capture --help`.
+/// `callback` receives every event as a dictionary; if it returns False, the capture stops and keeps the finished stages, as with Ctrl-C.
 #[pyfunction]
 #[pyo3(signature = (input, out=None, *, frames=None, poses=None, camera=None, matcher=None, vocab_tree=None, mapper=None, size=None,
     threads=0, fresh=false, callback=None))]
@@ -88,7 +88,7 @@ pub fn capture(
     }
 }
 
-/// Runs a program until it ends or the pipe to this process closes; returns the exit code.
+/// Runs a program until it ends or the pipe to this process closes; returns the program's exit code.
 #[pyfunction]
 pub fn run_guard(py: Python<'_>, words: Vec<OsString>) -> u8 {
     py.detach(|| guard::run(words))

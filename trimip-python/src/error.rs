@@ -1,4 +1,4 @@
-//! Errors of the library as Python exceptions, by their cause.
+//! Python exceptions for the library's errors, one class per cause.
 
 use pyo3::create_exception;
 use pyo3::exceptions::PyException;

@@ -1,8 +1,8 @@
 //! Python bindings of Tri-MipRF: the native module `trimip._trimip`, which the package in `python/trimip` wraps.
 //!
 //! Arrays are numpy arrays, errors are exceptions with the program's text, and the interpreter lock is released while the library works.
-//! `camera`, `scene`, `model`, `mesh` and `train` have one class each, and `capture` one function. `listening` brings callbacks and Ctrl-C
-//! to long work, `value` converts settings and events, `error` converts errors.
+//! `camera`, `scene`, `model`, `mesh` and `train` have one class each, and `capture` one function. `listening` handles callbacks and Ctrl-C
+//! during long work, `value` converts settings and events, `error` converts errors.
 
 mod camera;
 mod capture;

@@ -21,12 +21,12 @@ impl Listener {
         Self { callback, stop: AtomicBool::new(false), raised: Mutex::new(None) }
     }
 
-    /// Polls for Ctrl-C.
+    /// Checks for Ctrl-C.
     pub fn check_signals(&self) {
         Python::attach(|py| self.keep(py.check_signals()));
     }
 
-    /// Calls the callback with an event as a dictionary. The work stops if it returns False or raises.
+    /// Calls the callback with an event as a dictionary. The work stops if the callback returns False or raises an exception.
     pub fn tell(&self, event: &impl Serialize) {
         let Some(callback) = &self.callback else { return };
         Python::attach(|py| {
@@ -44,7 +44,7 @@ impl Listener {
         raised.map_or(Ok(()), Err)
     }
 
-    /// Stops the work at an error, and keeps the first error.
+    /// Stops the work if `outcome` is an error, and keeps the first error.
     fn keep(&self, outcome: PyResult<()>) {
         if let Err(error) = outcome {
             self.stop.store(true, Ordering::Relaxed);

@@ -18,8 +18,8 @@ impl Mesh {
         threes(py, &self.0.positions)
     }
 
-    /// Origin of `positions` in the coordinates of the photographs: three numbers, 0 unless the photographs lie far from the origin of
-    /// their coordinates. Written files have the coordinates of the photographs.
+    /// Origin of `positions` in the coordinates of the photographs: three numbers, which are 0 unless the photographs
+    /// are far from the origin of their coordinates. Written files have the coordinates of the photographs.
     #[getter]
     fn origin(&self) -> [f64; 3] {
         self.0.origin.numbers()
@@ -37,7 +37,7 @@ impl Mesh {
         threes(py, &self.0.colors)
     }
 
-    /// Vertex indices of the triangles, counterclockwise from outside: uint32 [triangles, 3].
+    /// Vertex indices of the triangles, counterclockwise as seen from outside: uint32 [triangles, 3].
     #[getter]
     fn triangles<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         threes(py, &self.0.triangles)
@@ -55,7 +55,7 @@ impl Mesh {
         self.0.defects() == mesh::Defects::default()
     }
 
-    /// Writes a PLY, OBJ or GLB file, chosen by the file extension; returns its size in bytes.
+    /// Writes a PLY, OBJ or GLB file, as the file extension specifies; returns its size in bytes.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
         py.detach(|| mesh::write(&self.0, &path)).map_err(raised)
     }

@@ -21,12 +21,12 @@ pub struct Frame {
     color: Py<PyArrayDyn<f32>>,
     /// Opacity in [0, 1]: float32 […].
     opacity: Py<PyArrayDyn<f32>>,
-    /// Distance along the optical axis, world units: float32 […]; infinite where nothing is seen.
+    /// Distance along the optical axis, world units: float32 […]; infinite where the ray hits nothing.
     depth: Py<PyArrayDyn<f32>>,
 }
 
 impl Frame {
-    /// Collects frames of one size; `shape` is the shape of the opacities.
+    /// Collects frames of equal size; `shape` is the shape of the opacities.
     fn of(py: Python<'_>, shape: &[usize], frames: &[trimip::Frame]) -> PyResult<Self> {
         let colors = frames.iter().flat_map(|frame| frame.rgb()).flatten().collect();
         let opacities = frames.iter().flat_map(pictures::opacity).collect();
@@ -43,7 +43,7 @@ impl Frame {
 }
 
 impl Frame {
-    /// The picture as an 8-bit PNG; `None` for several views.
+    /// Returns the picture as an 8-bit PNG; `None` for several views.
     fn png(&self, py: Python<'_>) -> PyResult<Option<Vec<u8>>> {
         let [height, width] = *self.opacity.bind(py).shape() else { return Ok(None) };
         let color =
@@ -76,12 +76,12 @@ impl Frame {
     }
 }
 
-/// Polls Python for Ctrl-C. The exception is kept until the work has stopped.
+/// Checks Python for Ctrl-C, and keeps the exception until the work has stopped.
 #[derive(Default)]
 pub struct Interrupted(Option<PyErr>);
 
 impl Interrupted {
-    /// False once Ctrl-C was pressed.
+    /// Returns false once Ctrl-C has been pressed.
     pub fn goes_on(&mut self) -> bool {
         if self.0.is_none() {
             self.0 = Python::attach(|py| py.check_signals()).err();
@@ -113,13 +113,13 @@ pub struct Model {
 }
 
 impl Model {
-    /// Loads a model onto the backend of its settings.
+    /// Loads a model onto the backend that its settings name.
     pub fn open(py: Python<'_>, model: trimip::model::Model) -> PyResult<Self> {
         let viewer = py.detach(|| backends::load(&model)).map_err(raised)?;
         Ok(Self { model, viewer: Mutex::new(viewer) })
     }
 
-    /// Origin of the model's coordinates in those of the photographs, which Python uses.
+    /// Returns the origin of the model's coordinates in the coordinates of the photographs, which Python uses.
     fn origin(&self) -> LocalOrigin {
         LocalOrigin::of(&self.model.config.data)
     }
@@ -174,7 +174,7 @@ impl Model {
 
 #[pymethods]
 impl Model {
-    /// Loads the model of a run folder or a model file. `settings` override how it is rendered and where its photographs are.
+    /// Loads the model of a run folder or a model file. `settings` override settings of rendering and of the data.
     #[staticmethod]
     #[pyo3(signature = (path, settings=None))]
     fn load(py: Python<'_>, path: PathBuf, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
@@ -196,7 +196,7 @@ impl Model {
         Frame::of(py, &[frame.height as usize, frame.width as usize], &[frame])
     }
 
-    /// Renders the views of cameras with one picture size. The arrays have the shape [views, height, width, …].
+    /// Renders the views of cameras that have equal picture sizes. The arrays have the shape [views, height, width, …].
     fn render_batch(&self, py: Python<'_>, cameras: Vec<Camera>) -> PyResult<Frame> {
         let Some(first) = cameras.first().map(|camera| camera.0.intrinsics) else {
             return Err(refused("cameras", "none", "give at least one"));
@@ -220,8 +220,8 @@ impl Model {
     }
 
     /// Returns density, float32 […] per world unit, and colour, float32 […, 3], at `points`, […, 3] in world units. `directions` are the
-    /// viewing directions from the eye to the points, […, 3] or a single one (default: −z). `radius` is that of the queried spheres, world
-    /// units (default: half a marching step).
+    /// viewing directions from the eye to the points, […, 3] or a single one (default: −z). `radius` is the radius of the queried spheres,
+    /// world units (default: half a marching step).
     #[pyo3(signature = (points, directions=None, radius=None))]
     #[expect(clippy::type_complexity, reason = "two arrays")]
     fn query<'py>(
@@ -255,9 +255,9 @@ impl Model {
         PyArray1::from_vec(py, found).reshape([&leading(&points)[..], &[width]].concat())
     }
 
-    /// Extracts the surface where the density crosses `level` (by default the density at which a marching step has an optical depth of
-    /// 0.2), on a grid of `resolution` cells along the longest side, simplified to about `triangles` triangles (0: all are kept). The mesh
-    /// is closed unless the scene has a crop (`scene.crop`) or is contracted.
+    /// Extracts the surface where the density crosses `level` (default: the density at which a marching step has an optical depth of 0.2).
+    /// The grid has `resolution` cells along the longest side, and the mesh is simplified to about `triangles` triangles (0: all are kept).
+    /// The mesh is closed unless the scene has a crop (`scene.crop`) or is contracted.
     #[pyo3(signature = (resolution=512, *, level=None, triangles=100_000, specks=0.02, colors=true))]
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn mesh(
@@ -273,7 +273,7 @@ impl Model {
         let model = &self.model;
         let what = Extraction { resolution, level, specks, goal, colors, ..Extraction::of(&model.config) };
         let extracted = self.work(py, |viewer, interrupted| {
-            // Without the photographs' cameras, hidden parts are found from the surface only.
+            // If the photographs are missing, there are no cameras, and hidden parts are determined from the surface only.
             let cameras = model.config.section().and_then(|config| data::open_test(&config));
             let cameras = cameras.map(|set| set.train).unwrap_or_default();
             mesh::extract(viewer, model, &what, &cameras, &mut |_| interrupted.goes_on())
@@ -316,8 +316,8 @@ impl Model {
         value::python(py, &settings)
     }
 
-    /// Origin of the model's own coordinates (`aabb`, mesh positions) in those of the photographs, which cameras and points use: three
-    /// numbers, 0 unless the photographs lie far from the origin of their coordinates (data.origin).
+    /// Origin of the model's local coordinates (`aabb`, mesh positions) in the coordinates of the photographs, which cameras and points
+    /// use: three numbers, which are 0 unless the photographs are far from the origin of their coordinates (data.origin).
     #[getter]
     fn local_origin(&self) -> [f64; 3] {
         self.origin().numbers()
@@ -340,7 +340,7 @@ impl Model {
     }
 }
 
-/// The shape of points without their last axis of three numbers; [1] for a single point.
+/// Returns the shape of points without their last axis of three numbers; [1] for a single point.
 fn leading(points: &Numbers<'_>) -> Vec<usize> {
     let array = points.as_array();
     match array.ndim() {
@@ -349,7 +349,7 @@ fn leading(points: &Numbers<'_>) -> Vec<usize> {
     }
 }
 
-/// Rows of three finite numbers, with any leading axes; a single row needs none.
+/// Converts an array to rows of three finite numbers. The array may have any leading axes, or none for a single row.
 fn threes(name: &str, numbers: &Numbers<'_>) -> PyResult<Vec<[f64; 3]>> {
     let array = numbers.as_array();
     if array.shape().last() != Some(&3) {

@@ -25,7 +25,7 @@ impl Scene {
         }
     }
 
-    /// Loads a frame at all scales; returns it with the index of the view reduced by `scale`.
+    /// Loads a frame at all scales. Returns it with the index of the view that is reduced by `scale`.
     fn load(&self, py: Python<'_>, index: usize, split: &str, scale: u32) -> PyResult<(ViewSet, usize)> {
         let frames = self.frames(split)?;
         if index >= frames.len() {
@@ -49,7 +49,7 @@ impl Scene {
 
 #[pymethods]
 impl Scene {
-    /// Opens a folder of photographs; without `root`, the built-in scene, or the data that `settings` select.
+    /// Opens a folder of photographs. Without `root`, opens the data that `settings` select; the default is the built-in scene.
     #[new]
     #[pyo3(signature = (root=None, settings=None))]
     fn new(py: Python<'_>, root: Option<PathBuf>, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
@@ -109,8 +109,8 @@ impl Scene {
         PyArray1::from_vec(py, rgb.into_flattened()).reshape([k.height as usize, k.width as usize, 3])
     }
 
-    /// Returns the stored RGBA pixels of a photograph: uint8 [height, width, 4]. Alpha is the opacity or, for masked captures, the share of
-    /// the pixel that counts.
+    /// Returns the stored RGBA pixels of a photograph: uint8 [height, width, 4]. Alpha is the opacity or, for masked
+    /// captures, the share of the pixel that is kept.
     #[pyo3(signature = (index, split="test", scale=1))]
     fn pixels<'py>(
         &self,

@@ -59,7 +59,7 @@ impl Run {
         value::python(py, &evaluations(&self.recorded))
     }
 
-    /// The verdict on the model in one line: its grade, the mean PSNR and what it is a mean of, and what may improve it.
+    /// The verdict on the model in one line: its grade, the mean PSNR with the views and scales behind it, and possible remedies.
     #[getter]
     fn verdict(&self) -> String {
         self.recorded.report().verdict().words()
@@ -137,9 +137,9 @@ fn given(
 /// Trains in a run folder, or resumes the run of that folder.
 ///
 /// `config` is a dictionary of settings or the path of a configuration file; `settings` overrides it, and `system` is one of `systems()`.
-/// `out` defaults to `runs/<name>`. `callback` receives every event as a dictionary. The run stops after the current step and saves if the
-/// callback returns False or raises, or at Ctrl-C, which then raises KeyboardInterrupt. The same call resumes the run, with the same bits
-/// as an uninterrupted one. The run folder has the same files as one of trimip-cli.
+/// `out` defaults to `runs/<name>`. `callback` receives every event as a dictionary. If the callback returns False or raises an exception,
+/// the run stops after the current step and saves; it does the same at Ctrl-C and then raises KeyboardInterrupt. The same call resumes the
+/// run, and the result is bit-identical to that of an uninterrupted run. The run folder has the same files as one of trimip-cli.
 #[pyfunction]
 #[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
@@ -208,7 +208,7 @@ pub fn systems() -> Vec<&'static str> {
     trimip::systems::SYSTEMS.iter().map(|system| system.name).collect()
 }
 
-/// Returns the names of the backends that work on this machine.
+/// Returns the names of the backends that this machine can run.
 #[pyfunction]
 pub fn backends() -> Vec<String> {
     trimip::backends::usable()

@@ -7,9 +7,9 @@ use serde_json::Value as Json;
 use std::path::PathBuf;
 use trimip::{SettingValue, Settings};
 
-/// Converts a Python value to that of a setting; `path` is the setting that errors name.
+/// Converts a Python value to the value of a setting; errors name the setting by its `path`.
 fn setting_value(path: &str, value: &Bound<'_, PyAny>) -> PyResult<SettingValue> {
-    // In Python, `True` is an int too.
+    // In Python, `True` is also an int, so booleans are checked first.
     if let Ok(value) = value.cast::<PyBool>() {
         return Ok(value.is_true().into());
     }
@@ -58,7 +58,7 @@ fn put(settings: &mut Settings, section: &str, values: &Bound<'_, PyDict>) -> Py
     Ok(())
 }
 
-/// Converts a dictionary to assignments as on the command line, `section.key=value`.
+/// Converts a dictionary to assignments as on the command line: `section.key=value`.
 pub fn assignments(values: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<String>> {
     let mut all = Vec::new();
     if let Some(values) = values {

@@ -23,7 +23,7 @@ TINY = {
 
 
 def program() -> str:
-    """Path of trimip-cli: TRIMIP_CLI, the release or debug build in this repository, or the one on the PATH."""
+    """Returns the path of trimip-cli: TRIMIP_CLI, the release or debug build in this repository, or the one on the PATH."""
     target = Path(__file__).parents[2] / "target"
     for found in (os.environ.get("TRIMIP_CLI"), target / "release/trimip-cli", target / "debug/trimip-cli"):
         if found and Path(found).is_file():
@@ -43,7 +43,7 @@ def cli():
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory):
-    """A run and the events that its callback received."""
+    """Trains a run; returns it and the events that its callback received."""
     events = []
     out = tmp_path_factory.mktemp("runs") / "tiny"
     return trimip.train(TINY, out, callback=events.append), events

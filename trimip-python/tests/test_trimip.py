@@ -1,4 +1,4 @@
-"""The package does what the program does, with the same bits and the same words."""
+"""Checks that the package gives the same bits and the same messages as the program."""
 
 import io
 import json
@@ -174,7 +174,7 @@ def test_progress_is_one_line(tmp_path):
 
 
 def decoded(png):
-    """Pixels of an 8-bit RGB PNG."""
+    """Returns the pixels of an 8-bit RGB PNG."""
     import struct
     import zlib
 
@@ -228,11 +228,11 @@ def test_places_have_densities_colours_and_features(model):
     width = 3 * 16  # three planes, sixteen channels
     assert features.shape == (50, width) and np.isfinite(features).all()
     assert np.array_equal(model.features(points[3:4], radius=0.01)[0], features[3])
-    # Any axes may come before those of the numbers.
+    # Any axes may precede the axis of the numbers.
     grid = model.query(points.reshape(5, 2, 5, 3), directions=[0, 0, 2], radius=0.01)
     assert np.array_equal(grid[0], density.reshape(5, 2, 5)) and np.array_equal(grid[1], color.reshape(5, 2, 5, 3))
     assert np.array_equal(model.features(points.reshape(25, 2, 3), radius=0.01), features.reshape(25, 2, width))
-    # Far spheres see coarse texels.
+    # Spheres with a large radius read coarse texels.
     assert not np.allclose(model.features(points, radius=0.5), features)
 
 
@@ -314,7 +314,7 @@ def test_the_words_of_an_error_are_the_programs(cli, tmp_path):
     with pytest.raises(trimip.InputError) as error:
         trimip.train({"train.steps": 0}, tmp_path / "run")
     answer = cli("train", "--set", "train.steps=0", "--out", tmp_path / "run")
-    # The place is the command line there and the settings here.
+    # The program names the command line as the place, the package names the settings.
     said = answer.stderr.strip().splitlines()[-1].removeprefix("error: ")
     assert answer.returncode == 2 and str(error.value).split(";")[1] == said.split(";")[1], (said, error.value)
 
@@ -354,7 +354,7 @@ def test_an_exception_of_a_callback_is_raised_and_nothing_is_lost(tmp_path):
 
 @pytest.fixture
 def keyboard():
-    """Ctrl-C raises KeyboardInterrupt. Python leaves it ignored if its parent does, as a shell does for `command &`."""
+    """Makes Ctrl-C raise KeyboardInterrupt. Python ignores Ctrl-C if its parent does, as a shell does for `command &`."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -424,7 +424,7 @@ class TestNerfstudio:
         assert np.allclose(found.pose, own) and (found.fx, found.fy, found.cx, found.cy) == (20, 21, 8, 9)
 
     def test_the_world_of_processed_photographs(self, tmp_path):
-        """ns-process-data turns COLMAP's world by A and scales it by a; the dataparser maps COLMAP's world by T and s·a."""
+        """ns-process-data maps COLMAP's world with the matrix A and the scale a; the dataparser maps COLMAP's world with T and s·a."""
         transform = self.world(tmp_path)
         applied = np.array([[0.0, 1, 0, 0.5], [1, 0, 0, 0], [0, 0, -1, 0]])
         (tmp_path / "transforms.json").write_text(json.dumps({"applied_transform": applied.tolist(), "applied_scale": 2.0}))

@@ -1,5 +1,5 @@
 //! Runs side by side on one page: their outcomes, the settings that differ, and the photographs and renderings of the
-//! test views that all runs have pictures of. A curve without a run folder contributes only its name.
+//! test views of which all runs have pictures. A curve without a run folder contributes only its name.
 
 use super::{page::escape, page::table, pictures};
 use serde_json::Value;
@@ -17,9 +17,9 @@ const VIEWS: usize = 4;
 pub struct Entry {
     /// Display name.
     pub name: String,
-    /// Colour of its line.
+    /// Colour of the entry's line in the plot.
     pub color: String,
-    /// Folder of its report and pictures.
+    /// Folder with the report and the pictures.
     pub folder: Option<PathBuf>,
 }
 
@@ -31,7 +31,7 @@ impl Entry {
     }
 }
 
-/// A table of verdicts and figures of the entries that have a report; empty if none has.
+/// Returns a table of verdicts and figures of the entries that have a report; empty if no entry has one.
 pub fn outcomes(entries: &[Entry]) -> String {
     let head = [
         "run",
@@ -80,7 +80,7 @@ pub fn outcomes(entries: &[Entry]) -> String {
     format!("<section><h2>Results</h2>{}</section>\n", table(&rows, false))
 }
 
-/// A table of the settings that differ between entries with a report; empty with fewer than two.
+/// Returns a table of the settings that differ between entries with a report; empty if fewer than two have one.
 pub fn differences(entries: &[Entry]) -> String {
     let known: Vec<_> = entries
         .iter()
@@ -112,8 +112,8 @@ pub fn differences(entries: &[Entry]) -> String {
     format!("<section><h2>Settings that differ</h2>{content}</section>\n")
 }
 
-/// Test views of the finest scale that all entries with pictures share: the photograph, then each entry's rendering
-/// with its PSNR.
+/// Returns the test views of the finest scale that all entries with pictures share: the photograph, then each entry's
+/// rendering with its PSNR.
 pub fn views(entries: &[Entry]) -> Result<String> {
     let pictured: Vec<(&Entry, PathBuf, Vec<ViewRecord>)> = entries
         .iter()
@@ -152,7 +152,7 @@ pub fn views(entries: &[Entry]) -> Result<String> {
     ))
 }
 
-/// Views with pictures at the finest scale.
+/// Returns the views with pictures at the finest scale.
 fn finest(views: Vec<ViewRecord>) -> Vec<ViewRecord> {
     let scale = views.iter().map(|view| view.scale).min();
     let wanted = |view: &ViewRecord| Some(view.scale) == scale && view.comparison.is_some();
@@ -172,7 +172,7 @@ mod tests {
     use std::path::Path;
     use trimip::view::pictures::{side_by_side, write_png};
 
-    /// A run folder with pictures of the frames `pictured`, at two scales.
+    /// Returns a run folder with pictures of the frames `pictured`, at two scales.
     fn run(root: &Path, name: &str, pictured: &[usize], hidden: u32) -> Entry {
         let folder = RunFolder::new(&root.join(name));
         folder.prepare_images().unwrap();

@@ -1,6 +1,6 @@
-//! The difference between a rendering and its photograph as a picture with a scale. It is the mean absolute difference
-//! over red, green and blue, as a fraction of the full range, from black (zero) over red to pale yellow (a quarter or
-//! more).
+//! The difference between a rendering and its photograph as a picture with a scale: the mean absolute difference over
+//! red, green and blue, as a fraction of the full range. The colours run from black (zero) over red to pale yellow (a
+//! quarter or more).
 
 use image::{Rgb, RgbImage};
 use trimip::view::flip_colors;
@@ -13,7 +13,7 @@ const MOST: f32 = 0.25;
 const COLORS: [[u8; 3]; 6] =
     [[0, 0, 4], [66, 10, 104], [147, 38, 103], [221, 81, 58], [252, 165, 10], [252, 255, 164]];
 
-/// The difference map of two pictures of the same size.
+/// Returns the difference map of two pictures of the same size.
 pub fn map(rendered: &RgbImage, photograph: &RgbImage) -> RgbImage {
     RgbImage::from_fn(rendered.width(), rendered.height(), |x, y| {
         let (a, b) = (rendered.get_pixel(x, y).0, photograph.get_pixel(x, y).0);
@@ -22,7 +22,7 @@ pub fn map(rendered: &RgbImage, photograph: &RgbImage) -> RgbImage {
     })
 }
 
-/// Colour of a difference, interpolated linearly between [`COLORS`].
+/// Returns the colour of a difference, interpolated linearly between [`COLORS`].
 fn color(difference: f32) -> [u8; 3] {
     let last = COLORS.len() - 1;
     let place = (difference / MOST).clamp(0.0, 1.0) * last as f32;
@@ -34,7 +34,7 @@ fn color(difference: f32) -> [u8; 3] {
     })
 }
 
-/// The scale as HTML: a bar of the colours with their differences below.
+/// Returns the scale as HTML: a bar of the colours with the differences that they stand for below.
 pub fn bar() -> String {
     let steps = COLORS.len() - 1;
     let label = |i: usize| {
@@ -44,7 +44,7 @@ pub fn bar() -> String {
     bar_of(&COLORS, (0..=steps).map(label))
 }
 
-/// The scale of FLIP errors as HTML; `None` if this build has no FLIP.
+/// Returns the scale of FLIP errors as HTML; `None` if this build has no FLIP.
 pub fn flip_bar() -> Option<String> {
     let errors: [f32; 6] = std::array::from_fn(|i| i as f32 / 5.0);
     let colors = flip_colors(6, 1, &errors)?;
@@ -52,7 +52,7 @@ pub fn flip_bar() -> Option<String> {
     Some(bar_of(&colors, errors.iter().map(|error| format!("{error:.1}"))))
 }
 
-/// A bar of evenly spaced colours with labels below.
+/// Returns a bar of evenly spaced colours with labels below.
 fn bar_of(colors: &[[u8; 3]], labels: impl Iterator<Item = String>) -> String {
     let stops: Vec<String> = colors.iter().map(|[r, g, b]| format!("rgb({r},{g},{b})")).collect();
     format!(

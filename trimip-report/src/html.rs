@@ -11,7 +11,7 @@ use trimip_core::measures::quality::{MOST_PSNR, Remedy, mean_quality};
 use trimip_core::{Result, config::Convention, engine::events::progress, field::encoders};
 use trimip_data::settings::DataConfig;
 
-/// The whole page; `images` is the folder of the comparisons.
+/// Returns the whole page; `images` is the folder of the comparisons.
 pub fn page(report: &Report<'_>, images: &Path) -> Result<String> {
     let content = [
         head(report),
@@ -83,7 +83,8 @@ fn head(report: &Report<'_>) -> String {
     )
 }
 
-/// The measured views, one row per command of a session, and the version and end time of the last session.
+/// Returns the origin of the report: the measured views, one row per command of a session, and the version and end time
+/// of the last session.
 fn origin(report: &Report<'_>) -> String {
     let mut rows = vec![("measured on", report.views_measured())];
     let sessions: Vec<_> = report.history.parts.iter().map(|part| &part.provenance).collect();

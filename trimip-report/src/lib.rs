@@ -1,5 +1,5 @@
-//! Pages as self-contained HTML files: the report of a run, an inspected capture, compared runs and systems. Also the parts that
-//! these pages share with those of other programs.
+//! Pages as self-contained HTML files: the report of a run, an inspected capture, and comparisons of runs and of
+//! systems. Also the parts that these pages share with those of other programs.
 
 #![forbid(unsafe_code)]
 
@@ -19,7 +19,7 @@ use std::path::Path;
 use trimip::{Error, Result, report::Status, run::Recorded};
 use trimip_core::atomic::write_atomically;
 
-/// Writes all files of a run's report, the page last. A finished run gets its strip of views first.
+/// Writes all files of a run's report, the page last. For a finished run, first draws the strip of views.
 ///
 /// # Errors
 /// When the strip cannot be rendered, or a file cannot be written.

@@ -6,7 +6,7 @@ pub use super::escape::escape;
 use super::svg::{self, Line};
 use trimip::machine;
 
-/// A whole page around `content`, the inside of its `main`.
+/// Returns a whole page around `content`, which goes inside its `main` element.
 pub fn whole(title: &str, content: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -20,8 +20,8 @@ pub fn whole(title: &str, content: &str) -> String {
     )
 }
 
-/// Rows of text as a table that scrolls if it is wider than its window. The first row is the header. The first column
-/// is left-aligned; the others are numbers and right-aligned. With `ends_with_mean`, the last row is bold.
+/// Returns rows of text as a table that scrolls if it is wider than its window. The first row is the header. The first
+/// column is left-aligned; the others are numbers and right-aligned. With `ends_with_mean`, the last row is bold.
 pub fn table(rows: &[Vec<String>], ends_with_mean: bool) -> String {
     let last = rows.len().saturating_sub(1);
     let row = |(i, cells): (usize, &Vec<String>)| {
@@ -37,14 +37,13 @@ pub fn table(rows: &[Vec<String>], ends_with_mean: bool) -> String {
     format!("<div class=\"scroll\"><table>{body}</table></div>")
 }
 
-/// Names and values, one pair per row.
+/// Returns a table of names and values, with one pair per row.
 pub fn pairs(rows: &[(&str, String)]) -> String {
     let rows = rows.iter().map(|(name, value)| format!("<tr><td>{name}</td><td>{}</td></tr>", escape(value)));
     format!("<table class=\"pairs\">{}</table>", rows.collect::<String>())
 }
 
-/// A section with the plot of `lines` over logarithmic and linear time; empty if there is nothing to draw. `note` is
-/// HTML.
+/// Returns a section with the plot of `lines` over logarithmic and over linear time; empty if there is nothing to draw. `note` is HTML.
 pub fn plot(title: &str, lines: &[Line], note: &str) -> String {
     let Some((logarithmic, linear)) = svg::plot(lines, true).zip(svg::plot(lines, false)) else {
         return String::new();
@@ -60,7 +59,7 @@ pub fn plot(title: &str, lines: &[Line], note: &str) -> String {
     )
 }
 
-/// Asserts that `page` is self-contained: it fetches nothing, and every opened element is closed. For tests of pages.
+/// Asserts that `page` is self-contained: it fetches nothing, and every opened element is closed. Used by tests of pages.
 ///
 /// # Panics
 /// If the page is not self-contained.

@@ -11,18 +11,18 @@ use trimip::{Error, Result, RunFolder, run::store::ViewRecord, view::pictures};
 
 /// Longest side of a picture in a page, pixels.
 const LONGEST: u32 = 1024;
-/// Below this width, pixels, a picture is enlarged without smoothing.
+/// Pictures narrower than this, in pixels, are enlarged without smoothing.
 const SQUARES: u32 = 200;
 /// Largest embedded PNG, bytes. A larger one is replaced by a JPEG, so that a page of six views stays small enough to mail.
 const MOST_PNG_BYTES: usize = 400_000;
-/// Quality of these JPEGs. Their error is about a tenth of that of good renderings.
+/// Quality of these JPEGs. Their error is about a tenth of the error of good renderings.
 const JPEG_QUALITY: u8 = 92;
 /// JPEG quality of thumbnails, which need no fine detail.
 const THUMBNAIL_QUALITY: u8 = 84;
-/// Number of views listed as the worst and as the best.
+/// Number of views that are listed as the worst, and as the best.
 const NAMED: usize = 5;
 
-/// The strip of views of the model in the run folder `root`, and the command to view it; empty without the picture.
+/// Returns the strip of views of the model in the run folder `root`, and the command that opens the viewer; empty without the picture.
 pub fn strip(root: &Path, scene: &SceneConfig) -> Result<String> {
     let (heading, alt) = match scene.contraction {
         Contraction::None => ("From all around", "eight views around the model"),
@@ -44,7 +44,7 @@ type PerceptualScores = (&'static str, fn(&ViewRecord) -> Option<f64>);
 const PERCEPTION: [PerceptualScores; 3] =
     [("MS-SSIM", |view| view.ms_ssim), ("FLIP", |view| view.flip), ("LPIPS", |view| view.lpips)];
 
-/// Both sections; empty if no view was evaluated. `images` is the folder of the comparisons.
+/// Returns both sections; empty if no view was evaluated. `images` is the folder of the comparisons.
 pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
     let ordered = by_error(&report.views);
     let (Some(worst), Some(best)) = (ordered.first(), ordered.last()) else { return Ok(String::new()) };
@@ -69,7 +69,7 @@ pub fn sections(report: &Report<'_>, images: &Path) -> Result<String> {
     Ok(html)
 }
 
-/// Views of the finest scale from the worst to the best; a view without PSNR is the worst.
+/// Returns the views of the finest scale from the worst to the best; a view without PSNR is the worst.
 fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
     let finest = views.iter().map(|view| view.scale).min();
     let mut ordered: Vec<_> = views.iter().filter(|view| Some(view.scale) == finest).collect();
@@ -78,7 +78,7 @@ fn by_error(views: &[ViewRecord]) -> Vec<&ViewRecord> {
     ordered
 }
 
-/// The worst and the best views: their names, and their pictures if there are any.
+/// Returns the section of the worst and the best views: their names, and their pictures if there are any.
 fn extremes(ordered: &[&ViewRecord], images: &Path) -> Result<String> {
     let count = (ordered.len() / 2).clamp(1, NAMED);
     let perceptual: Vec<_> =
@@ -128,8 +128,8 @@ fn measure(value: Option<f64>, digits: usize) -> String {
     value.map_or("no number".into(), |value| format!("{value:.digits$}"))
 }
 
-/// A figure of rendering, photograph, difference and, if present, the map of FLIP errors, with `title` before its caption; empty if the
-/// picture is missing.
+/// Returns a figure of rendering, photograph, difference and, if present, the map of FLIP errors. `title` precedes its caption. Empty if
+/// the picture is missing.
 fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
     let Some([rendered, photograph]) = compared(images, view) else { return Ok(String::new()) };
     let heat = difference::map(&rendered, &photograph);
@@ -164,14 +164,14 @@ fn figure(images: &Path, view: &ViewRecord, title: &str) -> Result<String> {
     ))
 }
 
-/// Rendering and photograph of a view, if its comparison exists.
+/// Returns the rendering and the photograph of a view, if its comparison exists.
 pub fn compared(images: &Path, view: &ViewRecord) -> Option<[RgbImage; 2]> {
     let sheet = image::open(images.join(view.comparison.as_ref()?)).ok()?;
     let [rendered, photograph, _] = pictures::panels(&sheet.to_rgb8());
     (rendered.width() > 0).then_some([rendered, photograph])
 }
 
-/// A picture as an HTML element with embedded data.
+/// Returns a picture as an HTML element with embedded data.
 pub fn embedded(picture: RgbImage, what: &str) -> Result<String> {
     let picture = fitted(picture);
     let (width, height) = picture.dimensions();
@@ -186,7 +186,7 @@ pub fn embedded(picture: RgbImage, what: &str) -> Result<String> {
     ))
 }
 
-/// A small picture as an HTML element with embedded JPEG data.
+/// Returns a small picture as an HTML element with embedded JPEG data.
 pub fn thumbnail(picture: &RgbImage, what: &str) -> Result<String> {
     let data = BASE64_STANDARD.encode(jpeg(picture, THUMBNAIL_QUALITY)?);
     let (width, height) = picture.dimensions();
@@ -204,7 +204,7 @@ fn jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// A picture reduced to sides of at most [`LONGEST`].
+/// Reduces a picture so that its sides are at most [`LONGEST`].
 fn fitted(picture: RgbImage) -> RgbImage {
     let (width, height) = picture.dimensions();
     let longest = width.max(height);
@@ -216,7 +216,7 @@ fn fitted(picture: RgbImage) -> RgbImage {
     imageops::thumbnail(&picture, side(width), side(height))
 }
 
-/// The finest and the coarsest scale of every pictured frame, in that order.
+/// Returns, for every frame with pictures, the finest and the coarsest scale in that order.
 fn shown(views: &[ViewRecord]) -> Vec<Vec<&ViewRecord>> {
     let mut frames: Vec<Vec<&ViewRecord>> = Vec::new();
     for view in views.iter().filter(|view| view.comparison.is_some()) {
@@ -301,7 +301,7 @@ mod tests {
         });
     }
 
-    /// A copy of the report.
+    /// Returns a copy of the report.
     fn example_of<'a>(report: &Report<'a>) -> Report<'a> {
         Report {
             status: report.status.clone(),

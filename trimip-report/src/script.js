@@ -1,4 +1,4 @@
-// A slider between rendering and photograph, and pictures enlarged on a click. Without this script they appear side by side.
+// A slider between rendering and photograph, and pictures that are enlarged on a click. Without this script the pictures are side by side.
 "use strict";
 (() => {
   document.documentElement.classList.add("js");
@@ -7,7 +7,7 @@
   const shown = [];
   let at = 0;
 
-  // Rendering to the left of the slider, photograph to its right.
+  // The rendering is to the left of the slider, the photograph to its right.
   function wipe(rendered, photograph, click) {
     const box = make("div", "wipe");
     const stack = make("div", "stack");
@@ -57,7 +57,7 @@
     caption.textContent = item.text;
     if (light.open) return;
     light.showModal();
-    // Otherwise the slider has the focus and takes the arrow keys.
+    // Otherwise the slider would have the focus and receive the arrow keys.
     bar.children[1].focus();
   }
   button("‹", "previous picture", () => enlarge(at - 1));

@@ -1,10 +1,10 @@
-//! The settings in the report: first the chosen ones, then, folded, those at their defaults.
+//! The settings in the report: first those that were chosen, then, folded, those with default values.
 
 use super::page::escape;
 use trimip::settings::{SettingRow, rows};
 use trimip::{Origin, Settings};
 
-/// The section.
+/// Returns the section with the settings.
 pub fn section(settings: &Settings) -> String {
     let rows = rows(settings);
     let (set, defaults): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.origin != Origin::Default);

@@ -1,6 +1,6 @@
 //! Plots of error against time as SVG text. The vertical axis is PSNR in dB (the right axis labels the same error as
-//! RMSE), the horizontal axis training seconds, linear or logarithmic. A report draws one line per scale and one for
-//! their mean; a comparison one line per run.
+//! RMSE), the horizontal axis training seconds, linear or logarithmic. A report has one line per scale and one for
+//! their mean; a comparison has one line per run.
 
 use super::escape::escape;
 use trimip::formatting;
@@ -9,7 +9,7 @@ use trimip::{report::scale_name, run::history::Evaluation};
 /// Width and height of a drawing, pixels.
 type Size = [f64; 2];
 
-/// Size of the drawing for wide windows and files, and of the one for telephones.
+/// Sizes of the drawing: for wide windows and files, and for telephones.
 const WIDE: Size = [960.0, 440.0];
 const NARROW: Size = [420.0, 340.0];
 
@@ -25,7 +25,7 @@ pub const COLORS: [&str; 8] =
 /// Class of a dashed line. Dashed lines reuse the colours when there are more lines than colours.
 pub const DASHED: &str = "dashed";
 
-/// An axis: the range of its values and the pixels it covers.
+/// An axis: the range of its values, and the range of pixels that it covers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Axis {
     pub(crate) low: f64,
@@ -36,14 +36,14 @@ pub(crate) struct Axis {
 }
 
 impl Axis {
-    /// Pixel position of a value.
+    /// Returns the pixel position of a value.
     pub(crate) fn place(&self, value: f64) -> f64 {
         let f = |x: f64| if self.logarithmic { x.log10() } else { x };
         let fraction = (f(value) - f(self.low)) / (f(self.high) - f(self.low));
         self.start + fraction * (self.end - self.start)
     }
 
-    /// Round values for the tick labels.
+    /// Returns round values for the tick labels.
     pub(crate) fn ticks(&self) -> Vec<f64> {
         if self.logarithmic {
             let digits: &[f64] = if self.high / self.low > 2e3 { &[1.0] } else { &[1.0, 2.0, 5.0] };
@@ -58,7 +58,7 @@ impl Axis {
     }
 }
 
-/// The smallest of 1, 2, 5 × 10^n that is not below `rough`.
+/// Returns the smallest number of the form 1, 2 or 5 × 10^n that is at least `rough`.
 pub fn round_step(rough: f64) -> f64 {
     let power = 10_f64.powf(rough.log10().floor());
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|d| d * power).find(|s| *s >= rough * 0.999).unwrap_or(10.0 * power)
@@ -67,16 +67,16 @@ pub fn round_step(rough: f64) -> f64 {
 /// A measurement on a line.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// Seconds.
+    /// Training time, seconds.
     pub seconds: f64,
-    /// dB.
+    /// PSNR, dB.
     pub psnr: f64,
     /// Tooltip.
     pub hint: String,
 }
 
 impl Point {
-    /// False for values that no axis can show.
+    /// Returns false for values that no axis can show.
     fn drawn(&self) -> bool {
         self.psnr.is_finite() && self.seconds > 0.0 && self.seconds.is_finite()
     }
@@ -91,13 +91,13 @@ pub struct Line {
     pub color: String,
     /// Class of its group in the style sheet.
     pub class: &'static str,
-    /// In time order.
+    /// The measurements in order of time.
     pub points: Vec<Point>,
-    /// A measurement on other views than the line's, drawn as a ring.
+    /// A measurement on different views than those of the line, drawn as a ring.
     pub ring: Option<Point>,
 }
 
-/// Axes that contain every drawn point, the vertical one rounded outwards.
+/// Returns axes that contain every drawn point, the vertical one rounded outwards.
 fn axes(lines: &[Line], logarithmic: bool, [width, height]: Size) -> Option<(Axis, Axis)> {
     let points = || lines.iter().flat_map(|line| line.points.iter().chain(&line.ring)).filter(|p| p.drawn());
     let range = |value: fn(&Point) -> f64| {
@@ -117,8 +117,8 @@ fn axes(lines: &[Line], logarithmic: bool, [width, height]: Size) -> Option<(Axi
     Some((Axis { low: first, high: last, logarithmic, start: LEFT, end: width - RIGHT }, vertical))
 }
 
-/// The lines of a run: one per scale and one for their mean. `whole` is the final evaluation on all views, drawn as a
-/// ring because it uses other views than the curve.
+/// Returns the lines of a run: one per scale and one for their mean. `whole` is the final evaluation on all views,
+/// drawn as a ring because the curve uses other views.
 pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     let whole = whole.filter(|w| !curve.contains(w));
     let line = |class, name: String, color: &str, value: &dyn Fn(&Evaluation) -> f64| {
@@ -150,8 +150,8 @@ pub fn lines(curve: &[&Evaluation], whole: Option<&Evaluation>) -> Vec<Line> {
     lines
 }
 
-/// A plot for a page, which adds colours and a [`legend`]. It is drawn twice, for wide windows and for telephones, and the page shows one
-/// of the two. `None` if there is nothing to draw.
+/// Returns a plot for a page, which adds colours and a [`legend`]. The plot is drawn twice, for wide windows and for
+/// telephones, and the page shows one of the two. `None` if there is nothing to draw.
 pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
     let drawn = |class: &str, size: Size| {
         let [width, height] = size;
@@ -163,7 +163,7 @@ pub fn plot(lines: &[Line], logarithmic: bool) -> Option<String> {
     Some(drawn("broad", WIDE)? + &drawn("narrow", NARROW)?)
 }
 
-/// The legend of a plot as HTML.
+/// Returns the legend of a plot as HTML.
 pub fn legend(lines: &[Line]) -> String {
     let entry = |line: &&Line| {
         let dashed = if line.class.contains(DASHED) { " class=\"dashed\"" } else { "" };
@@ -176,7 +176,7 @@ pub fn legend(lines: &[Line]) -> String {
     legend
 }
 
-/// The first line of each name.
+/// Returns the first line of each name.
 fn named(lines: &[Line]) -> Vec<&Line> {
     let first = |(i, line): &(usize, &Line)| !lines[..*i].iter().any(|other| other.name == line.name);
     lines.iter().enumerate().filter(first).map(|(_, line)| line).collect()
@@ -185,8 +185,8 @@ fn named(lines: &[Line]) -> Vec<&Line> {
 /// Title of a horizontal axis of training time.
 pub const TRAINING: &str = "training time / s";
 
-/// A standalone plot with a legend; its horizontal axis is logarithmic time with the title `time`. `None` if there is
-/// nothing to draw.
+/// Returns a standalone plot with a legend. Its horizontal axis is logarithmic time with the title `time`. `None` if
+/// there is nothing to draw.
 pub fn alone(lines: &[Line], time: &str) -> Option<String> {
     let style = "text { font: 13px system-ui, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif; fill: #1b1f24; } \
                  text.faint { fill: #606a76; } .grid { stroke: #dde2e8; } \
@@ -215,17 +215,17 @@ pub fn alone(lines: &[Line], time: &str) -> Option<String> {
     ))
 }
 
-/// Start of a legend's first line, in the corner of the plot where it covers the least of the lines.
+/// Returns the start of the legend's first line, in the corner of the plot where the legend covers the least of the lines.
 fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
     let (x, y) = axes(lines, true, WIDE)?;
     let names = named(lines);
     let letters = names.iter().map(|line| line.name.chars().count()).max().unwrap_or(0);
-    // About the width of a letter of 13 pixels.
+    // Approximate width of a letter of 13 pixels.
     let (width, height) = (34.0 + 7.0 * letters as f64, 20.0 * names.len() as f64);
     let (left, right) = (LEFT + 14.0, WIDE[0] - RIGHT - 14.0 - width);
     let (top, bottom) = (TOP + 16.0, WIDE[1] - BOTTOM - height);
     let place = |p: &Point| [x.place(p.seconds), y.place(p.psnr)];
-    // Points, and positions between them: the legend avoids the lines too.
+    // Points, and positions between them, so that the legend also avoids the lines between points.
     let mut drawn: Vec<[f64; 2]> = Vec::new();
     for line in lines {
         let points: Vec<_> = line.points.iter().filter(|p| p.drawn()).map(place).collect();
@@ -244,7 +244,7 @@ fn legend_place(lines: &[Line]) -> Option<[f64; 2]> {
         };
         drawn.iter().filter(inside).count()
     };
-    // Of equal corners, the first wins.
+    // If corners are equally good, the first wins.
     [[left, top], [right, bottom], [left, bottom], [right, top]].into_iter().min_by_key(covered)
 }
 
@@ -314,7 +314,7 @@ fn group(line: &Line, x: Axis, y: Axis) -> String {
     svg + "</g>"
 }
 
-/// A tick's value in few characters.
+/// Formats a tick's value in few characters.
 pub(crate) fn short(value: f64) -> String {
     let digits = if value.abs() >= 9.995 { 1 } else { 3 };
     let text = format!("{value:.digits$}");
@@ -390,7 +390,7 @@ mod tests {
         assert!(svg.contains("one &amp; two") && svg.contains("a &lt; b") && svg.contains("xmlns"));
         assert_eq!(svg.matches("class=\"dot\"").count(), 1);
         assert!(alone(&[line("nothing", f64::NAN)], TRAINING).is_none() && alone(&[], TRAINING).is_none());
-        // Seeds of a variant share its name.
+        // Seeds of a system share its name.
         let seeds = [line("same", 20.0), line("same", 21.0)];
         assert_eq!(alone(&seeds, TRAINING).unwrap().matches(">same<").count(), 1);
         assert_eq!(legend(&seeds).matches(">same<").count(), 1);

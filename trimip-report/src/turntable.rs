@@ -9,11 +9,11 @@ use trimip_core::{atomic::write_atomically, scene::origin::LocalOrigin};
 /// Pixels along a side of each view.
 const SIDE: u32 = 192;
 
-/// A strip that takes longer is left out: views of some models take minutes.
+/// Time limit for drawing a strip; a strip that takes longer is left out. The views of some models take minutes.
 const LONGEST: Duration = Duration::from_secs(20);
 
-/// Writes the strip of a finished model, unless the file exists or the settings ask for no pictures or no final evaluation. A
-/// report without the strip is complete.
+/// Writes the strip of a finished model, unless the file exists or the settings request no pictures or no final
+/// evaluation. A report is complete without the strip.
 ///
 /// # Errors
 /// When the model cannot be loaded or rendered, or the picture cannot be written.
@@ -24,7 +24,7 @@ pub fn draw(run: &Recorded) -> Result<()> {
         return Ok(());
     }
     let mut viewer = backends::load(&trimip::read_model(folder.root())?)?;
-    // Without these cameras, the strip of an unbounded scene circles it like an object.
+    // Without these cameras, the views of an unbounded scene are on a circle, as for an object.
     let photographed =
         training_cameras(folder.root(), LocalOrigin::of(&config.data)).ok().flatten().unwrap_or_default();
     let cameras = strip::cameras(&config.scene, &photographed, SIDE)?;

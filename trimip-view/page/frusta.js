@@ -2,10 +2,10 @@
 
 import { column, project } from "./orbit.js";
 
-/** Length of a pyramid, as a share of the radius of the box. */
+/** Length of a pyramid, relative to the radius of the box. */
 const LENGTH = 0.12;
 
-/** Corners of a camera's pyramid: its apex, then its base. */
+/** Returns the corners of a camera's pyramid: its apex, then its base. */
 function corners({ pose, fov, width, height }, length) {
   const [right, up, back, eye] = [0, 1, 2, 3].map((axis) => column(pose, axis));
   const x = Math.tan((fov * Math.PI) / 360);
@@ -16,7 +16,7 @@ function corners({ pose, fov, width, height }, length) {
 
 const EDGES = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]];
 
-/** Draws the cameras of all sets; `chosen` gets bold lines. */
+/** Draws the cameras of all sets, the `chosen` one with bold lines. */
 export function drawFrusta(canvas, sets, pose, fov, radius, chosen) {
   const context = canvas.getContext("2d");
   const { width, height } = canvas;
@@ -24,7 +24,7 @@ export function drawFrusta(canvas, sets, pose, fov, radius, chosen) {
   for (const { split, views } of sets) {
     context.strokeStyle = split === "test" ? "#d9481c" : "#1c6fd9";
     views.forEach((view, index) => {
-      if (view.pose.every((number, i) => Math.abs(number - pose[i]) < 1e-6)) return; // its own picture
+      if (view.pose.every((number, i) => Math.abs(number - pose[i]) < 1e-6)) return; // the camera of this picture
       const points = corners(view, LENGTH * radius).map((point) => project(point, pose, fov, width, height));
       context.lineWidth = chosen?.split === split && chosen.index === index ? 3 : 1;
       context.beginPath();

@@ -1,14 +1,14 @@
-// Turns, moves and zooms a camera by mouse, touch, wheel and keys. A dialog lists the keys.
+// Turns, moves and zooms a camera with mouse, touch, wheel and keys. A dialog lists the keys.
 
 /** Direction in which each arrow key turns or moves the camera: [right, up]. */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
-/** Symbols by which the dialog shows the browser's names of keys. */
+/** Symbols that the dialog shows in place of the browser's names of keys. */
 const SYMBOLS = { ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", "-": "−" };
 
 /**
- * All keys, one row of the list each. `keys` maps the browser's name of a key to the value that `move` or `act` receives. `shift`
- * says whether the shift key has to be held; a row without it accepts both. `move` moves the camera, `act` leaves it where it is.
+ * All keys, one entry per row of the list. `keys` maps the browser's name of a key to the value that `move` or `act` receives. `shift`
+ * states whether the shift key has to be held; a row without `shift` works with and without it. `move` moves the camera; `act` does not.
  * `does` is the text that the list shows for a row, and `pointer` names the mouse or touch gesture with the same effect.
  */
 const keyRows = (orbit, list, fullScreen) => [
@@ -26,14 +26,14 @@ const keyRows = (orbit, list, fullScreen) => [
   { keys: { "?": null }, does: "these keys", act: list },
 ];
 
-/** An element with these properties and children. */
+/** Creates an element with these properties and children. */
 function element(name, properties, ...children) {
   const made = Object.assign(document.createElement(name), properties);
   made.append(...children);
   return made;
 }
 
-/** The dialog that lists rows of keys. */
+/** Creates the dialog that lists rows of keys. */
 function dialog(rows) {
   const title = element("h2", { id: "keys-title", textContent: "Keys" });
   const entries = rows.flatMap(({ keys, shift, pointer, does }) => {
@@ -48,7 +48,7 @@ function dialog(rows) {
   return made;
 }
 
-/** Calls `leave` before the camera moves and `changed` after it. */
+/** Connects mouse, touch, wheel and keys to the camera. Calls `leave` before the camera moves and `changed` after it. */
 export function gestures(view, orbit, changed, leave = () => {}) {
   const find = (id) => document.getElementById(id);
   const list = () => find("keys").showModal();

@@ -1,15 +1,15 @@
-// The web socket: one request is in flight at a time, and the newest other one waits. The socket is reopened when it breaks.
+// The web socket. One request is in flight at a time; of later ones, only the newest waits. The socket is reopened when it breaks.
 
 /** Milliseconds after which a request without an answer counts as lost. */
 const LOST = 10000;
 
-/** Milliseconds before the socket is reopened: the first pause, and the longest. */
+/** Pause before the socket is reopened, milliseconds: the first one, and the longest. */
 const AGAIN = [300, 5000];
 
 export class Link {
   /**
    * `picture(header, jpeg, milliseconds)` is called with every picture and the time since its request was made, `failed(text)`
-   * with every error, `training(run)` with the state of the run that is watched, `state(open)` when the socket opens or breaks.
+   * with every error, `training(run)` with the state of the watched run, and `state(open)` when the socket opens or breaks.
    */
   constructor({ picture, failed, training, state }) {
     Object.assign(this, { picture, failed, training, state });
@@ -53,20 +53,20 @@ export class Link {
     if (this.busy === header.id) this.busy = null;
     const made = this.sent.get(header.id);
     for (const id of this.sent.keys()) if (id < header.id) this.sent.delete(id);
-    // Pictures of a newer model repeat the number of the last request.
+    // Pictures of a newer state of the model have the number of the last request.
     if (header.done) this.sent.delete(header.id);
     this.picture(header, jpeg, made === undefined ? null : performance.now() - made);
     this.flush();
   }
 
-  /** Asks for a view. While an answer is pending, only the newest request is kept. */
+  /** Requests a view. While an answer is pending, only the newest request is kept. */
   ask(request) {
     this.last = request;
     this.wanted = { ...request, made: performance.now() };
     this.flush();
   }
 
-  /** Controls the run: "pause", "resume" or "stop". */
+  /** Sends a command to the run: "pause", "resume" or "stop". */
   command(command) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ command }));
   }

@@ -1,4 +1,4 @@
-// The page: its controls, and what happens when they change.
+// The page: its controls, and the reactions to their changes.
 
 import { Orbit } from "./orbit.js";
 import { Link } from "./link.js";
@@ -15,7 +15,7 @@ const STILL = 160;
 /** Longest side of a picture, pixels. */
 const MOST = 2048;
 
-/** Most characters of a name in the list of photographs. */
+/** Maximum number of characters of a name in the list of photographs. */
 const LONGEST = 24;
 
 const scene = await (await fetch("scene.json")).json();
@@ -60,7 +60,7 @@ function say(text) {
   find("message").textContent = text;
 }
 
-/** A name that fits the list: of a long name, its beginning and its end. */
+/** Returns a name that fits the list: for a long name, its beginning and its end. */
 function shortened(name) {
   const letters = [...name];
   if (letters.length <= LONGEST) return name;
@@ -71,7 +71,7 @@ function shortened(name) {
 const currentPose = () => (chosen ? chosen.camera.pose : orbit.pose());
 const currentFov = () => (chosen ? chosen.camera.fov : orbit.fov);
 
-/** Size of the finest picture. With a chosen photograph, it has the photograph's aspect ratio. */
+/** Returns the size of the finest picture. If a photograph is chosen, the picture has the photograph's aspect ratio. */
 function size() {
   const factor = (Number(find("scale").value) / 100) * (window.devicePixelRatio || 1);
   let [width, height] = [view.clientWidth * factor, view.clientHeight * factor];
@@ -99,7 +99,7 @@ function request(moving) {
   });
 }
 
-/** Two sliders per axis: the ends of the shown part of the box. */
+/** Two sliders per axis, for the ends of the visible part of the box. */
 const clips = ["x", "y", "z"].map((axis) =>
   [0, 100].map((value, end) => {
     const label = `${end ? "upper" : "lower"} end of the box along ${axis}`;
@@ -124,7 +124,7 @@ find("crop").querySelector("code").textContent = scene.crop;
 find("cropped").checked = find("crop").closest("details").open = scene.cropped;
 find("cropped").addEventListener("change", settled);
 
-/** The shown part of the box, or null for everything. */
+/** Returns the visible part of the box, or null for everything. */
 function clip() {
   const whole = clips.every(([low, high]) => low.value === "0" && high.value === "100");
   find("unclip").disabled = whole;
@@ -133,10 +133,10 @@ function clip() {
   const at = (axis, share) => min[axis] + share * (max[axis] - min[axis]);
   const parts = clips.map(([low, high]) => {
     const ends = [low, high].map((slider) => Number(slider.value) / 100).sort((a, b) => a - b);
-    // If both sliders are equal, a thin slice is shown.
+    // If both sliders have the same value, a thin slice is visible.
     return ends[0] === ends[1] ? [ends[0] - 0.005, ends[1] + 0.005] : ends;
   });
-  // A slider at its end leaves everything beyond it: unbounded scenes continue outside the box.
+  // A slider at its end clips nothing on that side, because unbounded scenes continue outside the box.
   const far = (share) => (share <= 0 ? -1e30 : share >= 1 ? 1e30 : null);
   return [0, 1].map((end) => parts.map((part, axis) => far(part[end]) ?? at(axis, part[end])));
 }
@@ -167,7 +167,7 @@ async function receive(header, jpeg, waited) {
   turns += 1;
   const turn = turns;
   const bitmap = await createImageBitmap(jpeg);
-  // A large picture may be decoded after a later small one.
+  // Decoding a large picture may take longer than decoding a small one that arrived later.
   if (turn < drawn) return bitmap.close();
   drawn = turn;
   const [width, height] = size();
@@ -187,7 +187,7 @@ async function receive(header, jpeg, waited) {
   find("rendered").textContent = `${header.rendered.toFixed(0)} ms`;
   find("waited").textContent = waited === null ? "–" : `${waited.toFixed(0)} ms`;
   find("rate").textContent = String(times.length);
-  // Only some pictures come with a sample count; otherwise the last count stays.
+  // Only some pictures come with a sample count; for the others the page keeps showing the last count.
   if (header.samples !== undefined) find("samples").textContent = header.samples.toFixed(1);
   find("range").hidden = !header.range;
   if (header.range) {
@@ -202,7 +202,7 @@ async function receive(header, jpeg, waited) {
   view.dataset.bytes = jpeg.size;
 }
 
-/** Shows a photograph over the model; the value "" leaves it. */
+/** Shows a photograph over the model; the value "" returns to the free view. */
 async function choose(value) {
   const [split, index] = value.split(" ");
   const camera = scene.cameras.find((set) => set.split === split)?.views[Number(index)];
@@ -240,7 +240,7 @@ function divide() {
   photo.hidden = !chosen || find("show").value !== "color";
 }
 
-/** Leaves the photograph: the free view continues with its field of view. */
+/** Returns from the photograph to the free view, with the field of view of the photograph. */
 function leave() {
   if (chosen) {
     orbit.fov = chosen.camera.fov;
@@ -284,14 +284,14 @@ function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
 }
 find("picture").addEventListener("click", () => view.toBlob((blob) => download(`${scene.name}.png`, blob)));
-/** The pose that `--pose` and `--path` read, in the photographs' coordinates: the page's coordinates start at scene.origin. */
+/** Returns the pose for `--pose` and `--path`, in the photographs' coordinates: the page's coordinates are relative to scene.origin. */
 const rows = (pose) => {
   const row = (i) => [...pose.slice(4 * i, 4 * i + 3), pose[4 * i + 3] + (scene.origin[i] ?? 0)];
   return [row(0), row(1), row(2), [0, 0, 0, 1]];
 };
 find("pose").addEventListener("click", async () => {
   const text = JSON.stringify(rows(currentPose()));
-  // Without https, browsers offer the clipboard only to pages of the same machine.
+  // Without https, browsers offer the clipboard only to pages from this machine itself.
   await (navigator.clipboard?.writeText(text) ?? Promise.reject()).then(
     () => say("The pose is in the clipboard: trimip-cli render … --pose '…'"),
     () => say(text),

@@ -1,5 +1,5 @@
-// A camera that orbits a point. Vectors are arrays of three numbers in world units. A pose is a camera-to-world matrix [R|t], 12 numbers
-// row by row; its axes are right, up and back.
+// A camera that orbits a point. Vectors are arrays of three numbers in world units. A pose is a camera-to-world matrix
+// [R|t] of 12 numbers, row by row; its axes are right, up and back.
 
 const add = (a, b) => a.map((x, i) => x + b[i]);
 const scaled = (a, s) => a.map((x) => x * s);
@@ -8,14 +8,14 @@ export const subtract = (a, b) => a.map((x, i) => x - b[i]);
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const normalized = (a) => scaled(a, 1 / Math.hypot(...a));
 
-/** Largest pitch, radians: straight from above, the upright direction is undefined. */
+/** Largest pitch, radians. Looking straight down, the upright direction is undefined. */
 const STEEPEST = 1.55;
 
-/** Column `axis` of a pose: 0 right, 1 up, 2 back, 3 the position of the camera. */
+/** Returns column `axis` of a pose: 0 right, 1 up, 2 back, 3 the position of the camera. */
 export const column = (pose, axis) => [pose[axis], pose[4 + axis], pose[8 + axis]];
 
 export class Orbit {
-  /** A camera at `start` (a pose and a field of view). Without it, the camera orbits the middle of `box` and sees all of it in `stage`. */
+  /** Creates a camera at `start` (a pose and a field of view) or, without it, one that orbits the middle of `box` and sees all of it. */
   constructor(box, up, fov, stage, start = null) {
     this.stage = stage;
     this.start = start;
@@ -43,7 +43,7 @@ export class Orbit {
     this.pitch = 0.5;
   }
 
-  /** Unit vector from the target to the camera. */
+  /** Returns the unit vector from the target to the camera. */
   back() {
     const flat = Math.cos(this.pitch);
     const around = add(scaled(this.first, flat * Math.cos(this.yaw)), scaled(this.second, flat * Math.sin(this.yaw)));
@@ -58,7 +58,7 @@ export class Orbit {
     return [0, 1, 2].flatMap((i) => [right[i], up[i], back[i], eye[i]]);
   }
 
-  /** Takes the position and direction of a pose, upright. The target becomes the point on the optical axis nearest to the middle. */
+  /** Takes the position and direction of a pose, without its roll. The target is the point on the optical axis nearest to the middle. */
   follow(pose) {
     const back = normalized(column(pose, 2));
     const eye = column(pose, 3);
@@ -73,7 +73,7 @@ export class Orbit {
     this.pitch = Math.min(Math.max(this.pitch + pitch, -STEEPEST), STEEPEST);
   }
 
-  /** Moves the target right and up, in widths of the picture. */
+  /** Moves the target right and up, in units of the picture's width. */
   pan(x, y) {
     const pose = this.pose();
     const width = 2 * this.distance * Math.tan((this.fov * Math.PI) / 360);
@@ -86,7 +86,7 @@ export class Orbit {
   }
 }
 
-/** Pixel position of a point in a picture of `width` by `height` pixels, or null if it is behind the camera. */
+/** Returns the pixel position of a point in a picture of `width` by `height` pixels, or null if it is behind the camera. */
 export function project(point, pose, fov, width, height) {
   const from = subtract(point, column(pose, 3));
   const depth = -dot(from, column(pose, 2));

@@ -23,7 +23,7 @@ export function control(send) {
   find("stop").addEventListener("click", () => send("stop"));
 }
 
-/** Shows the state of the run. */
+/** Shows the state of the run on the page. */
 export function tell(run) {
   const over = run.state === "stopped" || run.state === "finished";
   find("state").textContent = WORDS[run.state];

@@ -1,9 +1,9 @@
 //! The viewer: shows a model in a browser. A page of plain JavaScript modules requests views over a web socket. One thread renders them,
 //! coarsely while the camera moves and at full resolution when it stands still, and answers with JPEG pictures.
 //!
-//! Modules, in the direction of the data: [`protocol`] (what a page may request) → [`render_thread`] (the thread that renders) →
-//! [`picture`] (from a frame to a picture) → [`server`] (the page, the socket, and access control). [`scene`] holds what is shown: the
-//! model, its box, and the photographs. [`live_view`] connects a training run with the pages that watch it.
+//! Modules, in the direction of the data: [`protocol`] (requests of a page) → [`render_thread`] (the thread that renders) → [`picture`]
+//! (from a frame to a picture) → [`server`] (the page, the socket, and access control). [`scene`] holds the visible content: the model, its
+//! box, and the photographs. [`live_view`] connects a training run with the pages that watch it.
 
 #![forbid(unsafe_code)]
 

@@ -1,4 +1,4 @@
-//! Accepts connections up to a limit, beyond which they wait, and closes those that stay silent.
+//! Accepts connections up to a limit; further ones wait. Closes connections that stay silent.
 
 use axum::serve::Listener;
 use std::future::Future;
@@ -13,13 +13,13 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Most simultaneous connections. Each takes a file descriptor, which the training run in this process needs too.
+/// Maximum number of simultaneous connections. Each takes a file descriptor, and the training run in this process needs descriptors too.
 const MOST: usize = 256;
 
-/// A connection that sends nothing for this long is closed. Browsers answer the pings of a web socket more often.
+/// A connection that sends nothing for this long is closed. Browsers answer the pings of a web socket more often than that.
 const SILENCE: Duration = Duration::from_secs(60);
 
-/// Pause after a connection that could not be accepted.
+/// Pause after a failed attempt to accept a connection.
 const AGAIN: Duration = Duration::from_millis(200);
 
 /// Accepts connections.
@@ -29,7 +29,7 @@ pub struct Patient {
 }
 
 impl Patient {
-    /// Accepts the connections of `listener`.
+    /// Creates a listener that accepts the connections of `listener`.
     pub fn new(listener: TcpListener) -> Self {
         Self { listener, seats: Arc::new(Semaphore::new(MOST)) }
     }
@@ -45,7 +45,7 @@ impl Listener for Patient {
             let seat = Arc::clone(&self.seats).acquire_owned().await.ok();
             match self.listener.accept().await {
                 Ok((stream, address)) => {
-                    // Sends the last part of a picture without delay. If the option cannot be set, that part is only later.
+                    // Sends the last part of a picture without delay. If the option cannot be set, that part only arrives later.
                     let _ = stream.set_nodelay(true);
                     let silence = Box::pin(sleep(SILENCE));
                     return (Connection { stream, silence, _seat: seat }, address);
@@ -60,7 +60,7 @@ impl Listener for Patient {
     }
 }
 
-/// A connection that is closed after a silence.
+/// A connection that is closed if the browser sends nothing for a minute.
 pub struct Connection {
     stream: TcpStream,
     silence: Pin<Box<Sleep>>,

@@ -14,23 +14,24 @@ use trimip_core::engine::events::{Event, Totals};
 use trimip_core::field::model::Model;
 use trimip_core::run::Observer;
 
-/// Shortest time between two shown states of the model.
+/// Minimum time between two states of the model that pages show.
 const RENEWED: Duration = Duration::from_secs(2);
 
-/// Shortest time between two shown states of the model, in multiples of the time to load one: a GPU compiles its kernels again.
+/// Minimum time between two states of the model that pages show, in multiples of the time to load one: a GPU compiles its kernels each
+/// time.
 const LOADS: u32 = 10;
 
-/// Interval at which a paused run polls for the resume command.
+/// Interval at which a paused run checks for the resume command.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The pages that watch one run. Clones share their state: one receives the events, the other observes the run.
+/// The pages that watch one run. Clones share their state: one clone receives the events, another observes the run.
 #[derive(Clone)]
 pub struct LiveView {
     shared: Arc<Shared>,
 }
 
 struct Shared {
-    /// The address to open; it contains the token.
+    /// Address to open in a browser; it contains the token.
     address: String,
     name: String,
     paused: Arc<AtomicBool>,
@@ -42,7 +43,7 @@ struct State {
     /// `None` once the server is open.
     listener: Option<Listener>,
     server: Option<Server>,
-    /// Time at which a state of the model was last shown.
+    /// Time at which pages last received a new state of the model.
     shown: Option<Instant>,
     /// True if the pages show the state at which the run was paused.
     still: bool,
@@ -72,7 +73,7 @@ impl LiveView {
         Ok(Self { shared: Arc::new(Shared { address, name, paused, stop, state }) })
     }
 
-    /// The address to open; it contains the token.
+    /// Returns the address to open in a browser; it contains the token.
     pub fn address(&self) -> &str {
         &self.shared.address
     }
@@ -93,7 +94,7 @@ impl LiveView {
                 state.curve.push([totals.seconds, *psnr]);
             }
             Event::Stopped { .. } => state.status["state"] = "stopped".into(),
-            // The final evaluation is still to come.
+            // The final evaluation follows.
             Event::Finished { .. } => state.status["state"] = "measuring".into(),
             Event::SessionEnded { .. } if state.status["state"] == "measuring" => {
                 state.status["state"] = "finished".into();
@@ -173,7 +174,7 @@ impl Observer for LiveView {
         if let Some(server) = &state.server {
             return server.render_thread().show(model);
         }
-        // A failure does not stop the run: it continues without a live view.
+        // A failure does not stop the run, which continues without a live view.
         if let Err(error) = self.shared.open(&mut state, model) {
             eprintln!("warning: the run cannot be watched: {error}");
         }

@@ -1,4 +1,4 @@
-//! Parts of the page that the serverless page of `trimip-cli export web` uses too.
+//! Parts of the page that are also used by the serverless page of `trimip-cli export web`.
 
 /// The style sheet, light and dark.
 pub const STYLE: &str = include_str!("../page/style.css");

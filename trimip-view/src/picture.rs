@@ -11,19 +11,19 @@ use trimip_core::field::encoders::tri_mip::Pyramid;
 use trimip_core::scene::cones::Division;
 use trimip_core::{Aabb, Camera, Config, Error, Frame, Result, Space};
 
-/// Opacity from which a pixel has a surface.
+/// Minimum opacity of a pixel that has a surface.
 const SURFACE: f32 = 0.5;
 
-/// Most bytes of a JPEG per pixel: 60,000 for 400×400 pixels. Below [`LEAST_BYTES`] this limit does not apply.
+/// Maximum size of a JPEG, bytes per pixel: 60,000 for 400×400 pixels. JPEGs of up to [`LEAST_BYTES`] may exceed it.
 const BYTES_PER_PIXEL: f64 = 0.375;
 
-/// JPEGs of at most this many bytes are never compressed further.
+/// JPEGs of at most this many bytes are not compressed further.
 const LEAST_BYTES: usize = 8000;
 
 /// JPEG qualities, tried in order until a picture is small enough.
 const QUALITIES: [u8; 4] = [90, 80, 65, 50];
 
-/// A rendered view and the data that its pictures need.
+/// A rendered view, with the data that its pictures need.
 pub struct RenderedView<'a> {
     /// The rendered frame.
     pub frame: &'a Frame,
@@ -33,7 +33,7 @@ pub struct RenderedView<'a> {
     pub config: &'a Config,
     /// Samples per pixel; empty unless the picture shows them.
     pub samples: &'a [u32],
-    /// The photograph of this view, in the frame's size.
+    /// The photograph of this view, resampled to the size of the frame.
     pub photograph: Option<&'a RgbImage>,
 }
 
@@ -52,7 +52,8 @@ impl From<RgbImage> for Shown {
 }
 
 impl RenderedView<'_> {
-    /// The picture of a view. Without a photograph a comparison shows plain colours, as do mip levels of an encoder that has none.
+    /// Returns the picture of a view. A comparison without a photograph shows the rendered colours, and so does the mip level of an encoder
+    /// that has no mip levels.
     pub fn picture(&self, show: Show) -> Shown {
         let Self { frame, camera, .. } = *self;
         let (width, height) = (frame.width, frame.height);
@@ -94,7 +95,7 @@ impl RenderedView<'_> {
         }
     }
 
-    /// Maps values from 0 to `most` to the colour scale; NaN is black.
+    /// Maps values from 0 to `most` to the colour scale; NaN becomes black.
     fn scaled(&self, values: &[f32], most: f32) -> Shown {
         let color =
             |value: &f32| if value.is_nan() { [0.0; 3] } else { scale(value / most.max(f32::MIN_POSITIVE)) };
@@ -102,8 +103,8 @@ impl RenderedView<'_> {
         Shown { picture: rgb_image(self.frame.width, self.frame.height, &rgb), range: Some([0.0, most]) }
     }
 
-    /// The mip level (Eq. 5) of the sphere at the surface of each pixel, NaN where there is no surface; and the coarsest level. A pixel
-    /// that is divided into several cones gets the level of its first cone.
+    /// Returns the mip level (Eq. 5) of the sphere at the surface of each pixel, NaN where there is no surface; and the coarsest level. If
+    /// a pixel is divided into several cones, its level is that of the first cone.
     fn levels(&self) -> Option<(Vec<f32>, f32)> {
         let Self { frame, camera, config, .. } = *self;
         if config.encoder.kind != EncoderKind::TriMip {
@@ -132,7 +133,7 @@ impl RenderedView<'_> {
     }
 }
 
-/// Stops of the colour scale, evenly spaced from 0 to 1: viridis by S. van der Walt and N. Smith, whose lightness grows evenly.
+/// Stops of the colour scale, evenly spaced from 0 to 1: viridis by S. van der Walt and N. Smith, whose lightness increases evenly.
 const STOPS: [[f32; 3]; 6] = [
     [0.267, 0.005, 0.329],
     [0.254, 0.265, 0.530],
@@ -142,7 +143,7 @@ const STOPS: [[f32; 3]; 6] = [
     [0.993, 0.906, 0.144],
 ];
 
-/// The colour at `fraction` of the scale.
+/// Returns the colour at `fraction` of the scale.
 fn scale(fraction: f32) -> [f32; 3] {
     let at = fraction.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
     let lower = (at as usize).min(STOPS.len() - 2);
@@ -150,7 +151,7 @@ fn scale(fraction: f32) -> [f32; 3] {
     std::array::from_fn(|c| STOPS[lower][c] + part * (STOPS[lower + 1][c] - STOPS[lower][c]))
 }
 
-/// Surface normals, from the surface points that neighbouring pixels see; grey where there are none.
+/// Computes surface normals from the surface points that neighbouring pixels see; grey where there is no surface.
 fn normals(frame: &Frame, camera: &Camera) -> RgbImage {
     let (k, depths) = (camera.intrinsics, depth(frame, 0.0));
     let point = |x: u32, y: u32| {
@@ -200,7 +201,7 @@ mod tests {
     use super::*;
     use trimip_core::{Intrinsics, Pixel};
 
-    /// A frame that shows the plane z = `slope`·x, seen from z = 4.
+    /// Returns a frame that shows the plane z = `slope`·x, seen from z = 4.
     fn plane(slope: f64) -> (Frame, Camera) {
         let intrinsics = Intrinsics::from_angle(9, 9, 0.6);
         let camera = Camera::look_at(intrinsics, 4.0 * DVec3::Z, DVec3::ZERO, DVec3::Y);
@@ -273,7 +274,7 @@ mod tests {
             let rendered = rendered(&frame, &camera, &config);
             let (levels, top) = rendered.levels().unwrap();
             assert_eq!((top, rendered.picture(Show::Level).range), (7.0, Some([0.0, 7.0])));
-            // r of the middle pixel: of the sphere within the cone of a disc of its area (Eq. 3).
+            // Radius for the middle pixel: that of the sphere within the cone of a disc with the area of the pixel (Eq. 3).
             let disc = 1.0 / camera.intrinsics.fx / std::f64::consts::PI.sqrt();
             let radius = distance * disc.atan().sin();
             let base = Pyramid::new(&config.encoder, &Aabb::new(&config.scene)).log2_base_radius;

@@ -1,5 +1,5 @@
-//! The messages between page and server. A page sends a [`Request`] or a [`Command`] as JSON. A request is answered by binary messages: the
-//! length of a JSON header (u32, little-endian), the header (a [`Header`]), and a JPEG picture.
+//! The messages between page and server. A page sends a [`Request`] or a [`Command`] as JSON. The server answers a request with binary
+//! messages: the length of a JSON header (u32, little-endian), the header (a [`Header`]), and a JPEG picture.
 
 use serde::{Deserialize, Serialize};
 use trimip::view::cameras::{posed, resized};
@@ -8,10 +8,10 @@ use trimip_core::{Camera, Crop, Error, Intrinsics, Result};
 /// Largest width or height of a picture, pixels.
 pub const MOST_SIDE: u32 = 2048;
 
-/// Largest message of a page, bytes.
+/// Maximum size of a message from a page, bytes.
 pub const MOST_BYTES: usize = 16 << 10;
 
-/// What a picture shows.
+/// Quantity that a picture shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Show {
@@ -19,34 +19,34 @@ pub enum Show {
     Color,
     /// Opacity, black to white.
     Opacity,
-    /// Distance along the optical axis, near to far within the box.
+    /// Distance along the optical axis, from white at the near end of the box to black at the far end.
     Depth,
     /// Direction of the surface, from neighbouring depths: x, y, z of the world as red, green, blue.
     Normals,
-    /// Mip level that the surface is read from, fine to coarse; the mean of the three planes.
+    /// Mip level from which the surface is read, fine to coarse; the mean of the three planes.
     Level,
     /// Number of samples whose colour is evaluated, few to many.
     Samples,
-    /// Absolute difference to the photograph, four times as bright.
+    /// Absolute difference from the photograph, four times as bright.
     Difference,
-    /// FLIP errors to the photograph.
+    /// FLIP errors relative to the photograph.
     Flip,
 }
 
 impl Show {
-    /// True if the picture needs a photograph.
+    /// Returns true if the picture needs a photograph.
     pub fn compares(self) -> bool {
         matches!(self, Self::Difference | Self::Flip)
     }
 }
 
-/// How a view is rendered.
+/// Placement of samples when a view is rendered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Renderer {
     /// Samples along the whole ray.
     Volume,
-    /// Samples where the proxy of the model has weight.
+    /// Samples only where the proxy of the model has weight.
     Hybrid,
 }
 
@@ -70,7 +70,7 @@ pub struct Photo {
     pub index: usize,
 }
 
-/// A view that a page asks for.
+/// A view that a page requests.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
@@ -80,20 +80,20 @@ pub struct Request {
     pub pose: Vec<f64>,
     /// Horizontal field of view, degrees.
     pub fov: f64,
-    /// Size of the finest picture, pixels.
+    /// Width of the finest picture, pixels.
     pub width: u32,
-    /// As `width`.
+    /// Height of the finest picture, pixels.
     pub height: u32,
-    /// What the picture shows.
+    /// Quantity that the picture shows.
     pub show: Show,
     /// How the picture is rendered.
     pub renderer: Renderer,
-    /// True while the camera moves: the answer is one coarse picture. False: finer pictures follow, up to full resolution.
+    /// True while the camera moves; the answer is then one coarse picture. Otherwise finer pictures follow, up to full resolution.
     pub moving: bool,
     /// A photograph, whose camera and aspect ratio replace `pose`, `fov` and the ratio of `width` to `height`.
     #[serde(default)]
     pub photo: Option<Photo>,
-    /// The shown part of the box: its lower and upper corner, world units.
+    /// The visible part of the box: its lower and upper corner, world units.
     #[serde(default)]
     pub clip: Option<[[f64; 3]; 2]>,
     /// True to show only the model's crop (`scene.crop`).
@@ -101,7 +101,7 @@ pub struct Request {
     pub cropped: bool,
 }
 
-/// A command of a page to the run that it watches.
+/// A command that a page sends to the run that it watches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Command {
@@ -113,7 +113,7 @@ pub enum Command {
     Stop,
 }
 
-/// A message of a page.
+/// A message from a page.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Message {
     /// A request for a view.
@@ -126,7 +126,7 @@ impl Message {
     /// Reads a message.
     ///
     /// # Errors
-    /// When the text is neither a command nor a request, or a number is out of range. The page shows the error's text.
+    /// When the text is neither a command nor a request, or a number is out of range. The page shows the text of the error.
     pub fn read(text: &str) -> Result<Self> {
         /// `{"command": "pause"}`.
         #[derive(Deserialize)]
@@ -145,7 +145,7 @@ impl Request {
     /// Reads a request.
     ///
     /// # Errors
-    /// When the text is no request, or a number is out of range. The page shows the error's text.
+    /// When the text is no request, or a number is out of range. The page shows the text of the error.
     pub fn read(text: &str) -> Result<Self> {
         let refuse = |what: String| Err(Error::input("message", what, "expected a view to render"));
         let request: Self = match serde_json::from_str(text) {
@@ -171,14 +171,14 @@ impl Request {
         Ok(request)
     }
 
-    /// The parts of the world whose intersection is shown. `crop` is the model's crop.
+    /// Returns the parts of the world whose intersection is visible. `crop` is the model's crop.
     pub fn kept(&self, crop: Crop) -> Vec<Crop> {
         let part = self.clip.map(|[min, max]| Crop::Box { min, max });
         let crop = Some(crop).filter(|crop| self.cropped && *crop != Crop::None);
         part.into_iter().chain(crop).collect()
     }
 
-    /// The camera of the finest picture. `photographed` is the camera of the chosen photograph, if there is one.
+    /// Returns the camera of the finest picture. `photographed` is the camera of the chosen photograph, if there is one.
     ///
     /// # Errors
     /// When the pose is not rigid.
@@ -197,9 +197,9 @@ impl Request {
 pub struct Header {
     /// Number of the request.
     pub id: u64,
-    /// Size of the picture, pixels.
+    /// Width of the picture, pixels.
     pub width: u32,
-    /// As `width`.
+    /// Height of the picture, pixels.
     pub height: u32,
     /// Rendering time, milliseconds.
     pub rendered: f64,
@@ -210,12 +210,12 @@ pub struct Header {
     /// Mean number of samples per pixel, if they were counted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub samples: Option<f64>,
-    /// The values of the darkest and the brightest colour, if the picture shows a quantity by a colour scale.
+    /// The values of the darkest and the brightest colour, if the picture shows a quantity with a colour scale.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<[f32; 2]>,
 }
 
-/// A binary message: header and picture.
+/// Returns a binary message: header and picture.
 pub fn message(header: &Header, jpeg: &[u8]) -> Vec<u8> {
     let json = serde_json::to_vec(header).unwrap_or_default();
     [&(json.len() as u32).to_le_bytes()[..], &json, jpeg].concat()

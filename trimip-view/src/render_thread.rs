@@ -14,7 +14,8 @@ use trimip::view::cameras::resized;
 use trimip_core::field::model::Model;
 use trimip_core::{Camera, Crop, Error, Result};
 
-/// Time limit of a coarse picture. Hybrid rendering is four times as fast: half of the gain goes into more pictures, half into finer ones.
+/// Returns the time limit of a coarse picture. Hybrid rendering is four times as fast: half of the gain goes into more pictures, half into
+/// finer ones.
 fn coarse_time(renderer: Renderer) -> Duration {
     match renderer {
         Renderer::Volume => Duration::from_millis(70),
@@ -22,7 +23,7 @@ fn coarse_time(renderer: Renderer) -> Duration {
     }
 }
 
-/// Time limit for rendering a still view at full resolution at once; if it would take longer, a coarse picture comes first.
+/// Time limit of a full-resolution render of a still view. If the render would take longer, a coarse picture comes first.
 const PATIENCE: Duration = Duration::from_millis(140);
 
 /// Rendering speed that is assumed before the first picture, pixels per second.
@@ -31,7 +32,7 @@ const ASSUMED_SPEED: f64 = 400_000.0;
 /// Weight of the newest picture in the moving average of the speed.
 const NEWEST: f64 = 0.4;
 
-/// Fewest pixels along the longer side of a coarse picture.
+/// Minimum number of pixels along the longer side of a coarse picture.
 const LEAST_SIDE: f64 = 48.0;
 
 /// An answer to a request: a binary message, or the text of an error.
@@ -69,7 +70,7 @@ struct Queue {
 }
 
 impl Queue {
-    /// The page to serve next. Pages without any picture of their current view come first; among equals, they take turns.
+    /// Returns the page to serve next. Pages without any picture of their current view come first; otherwise pages take turns.
     fn select(&self) -> Option<u64> {
         let waiting = |begun: bool| {
             let own = move |(_, client): &(&u64, &Client)| client.request.is_some() && client.begun == begun;
@@ -79,8 +80,8 @@ impl Queue {
         waiting(false).or_else(|| waiting(true))
     }
 
-    /// True if the full-resolution render of page `id` must be cancelled: the thread closes, the page has left, or a page waits for its
-    /// first picture.
+    /// Returns true if the full-resolution render of page `id` must be cancelled: the thread closes, the page has left, or a page waits for
+    /// its first picture.
     fn interrupts(&self, id: u64) -> bool {
         let asks = |client: &Client| client.request.is_some() && !client.begun;
         self.closed || !self.clients.contains_key(&id) || self.clients.values().any(asks)
@@ -133,12 +134,12 @@ impl RenderThread {
         (id, receiver)
     }
 
-    /// Number of connected pages.
+    /// Returns the number of connected pages.
     pub fn watchers(&self) -> usize {
         self.shared.queue().clients.len()
     }
 
-    /// Requests a view for a page, in place of its earlier request.
+    /// Requests a view for a page, in place of the page's earlier request.
     pub fn ask(&self, id: u64, request: Request) {
         if let Some(client) = self.shared.queue().clients.get_mut(&id) {
             client.last = Some(request.clone());
@@ -154,7 +155,7 @@ impl RenderThread {
         self.shared.changed.notify_all();
     }
 
-    /// Time that the last state of the model took to load; `None` while a newer one waits or is being loaded.
+    /// Returns the time that the last state of the model took to load; `None` while a newer one waits or is being loaded.
     pub fn load_time(&self) -> Option<Duration> {
         let queue = self.shared.queue();
         (queue.model.is_none() && !queue.loading).then_some(queue.load_time)
@@ -180,7 +181,7 @@ struct Worker {
     scene: Arc<Scene>,
     /// Rendering speed in pixels per second, by renderer.
     speed: BTreeMap<Renderer, f64>,
-    /// The crops that are set in each renderer.
+    /// The crops that are currently set in each renderer.
     clips: BTreeMap<Renderer, Vec<Crop>>,
     shared: Arc<Shared>,
 }
@@ -258,7 +259,8 @@ impl Worker {
                 self.clips.clear();
                 for client in queue.clients.values_mut().filter(|client| client.request.is_none()) {
                     client.request = client.last.clone().map(|request| (request, Instant::now()));
-                    // Marked as begun: the last picture stays until the full-resolution one is ready, without a coarse one in between.
+                    // Marked as begun, so that the last picture stays until the full-resolution one is ready, without a coarse picture in
+                    // between.
                     client.begun = client.request.is_some();
                 }
             }
@@ -321,7 +323,7 @@ impl Worker {
             photograph: photograph.as_ref(),
         };
         let shown = view.picture(request.show);
-        // Includes everything that a picture of this kind takes, not only rendering.
+        // The time includes all work for a picture of this kind, not only rendering.
         let spent = started.elapsed().as_secs_f64();
         let measured = f64::from(frame.width) * f64::from(frame.height) / spent.max(1e-6);
         self.speed.insert(renderer, speed + NEWEST * (measured - speed));
@@ -341,7 +343,7 @@ impl Worker {
     }
 }
 
-/// The factor by which the sides are reduced so that a picture has about `pixels` pixels.
+/// Returns the factor by which the sides are reduced so that a picture has about `pixels` pixels.
 fn coarse(finest: &Camera, pixels: f64) -> f64 {
     let (width, height) = (f64::from(finest.intrinsics.width), f64::from(finest.intrinsics.height));
     let least = LEAST_SIDE / width.max(height);

@@ -1,4 +1,4 @@
-//! What the viewer shows: the renderers of a model, its box, and its photographs.
+//! The content that the viewer shows: the renderers of a model, its box, and its photographs.
 
 use crate::protocol::{Photo, Renderer, Split};
 use image::RgbImage;
@@ -14,20 +14,20 @@ use trimip_core::field::model::{Model, assets};
 use trimip_core::scene::origin::LocalOrigin;
 use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, engine::proxy::Proxy};
 
-/// Most photographs that are kept decoded.
+/// Maximum number of photographs that are kept decoded.
 const KEPT: usize = 4;
 
 /// A model and its photographs.
 pub struct Scene {
     /// Name of the model, for the title.
     pub name: String,
-    /// Its configuration.
+    /// Configuration of the model.
     pub config: Config,
     /// True if pages initially show only the model's crop (`scene.crop`).
     pub cropped: bool,
     /// Training and test photographs, if they are found.
     pub photographs: Photographs,
-    /// Remarks for the user, a line each.
+    /// Remarks for the user, one per line.
     pub notes: Vec<String>,
     /// Path of the run's report, which may not exist yet.
     pub report: Option<PathBuf>,
@@ -37,7 +37,7 @@ impl Scene {
     /// Opens the model of a run folder or a model file, and its photographs. `assignments` change its settings.
     ///
     /// # Errors
-    /// When there is no model, a setting is wrong, or the backend cannot load the model. Missing photographs only give a note.
+    /// When there is no model, a setting is wrong, or the backend cannot load the model. Missing photographs only cause a note.
     pub fn open(path: &Path, assignments: &[String]) -> Result<(Self, Renderers)> {
         let mut model = trimip::read_model(path)?;
         settings::override_model(&mut model, assignments)?;
@@ -48,10 +48,10 @@ impl Scene {
         Ok((scene, renderers))
     }
 
-    /// A scene with this name and model, and its photographs.
+    /// Creates a scene with this name and model, and opens its photographs.
     ///
     /// # Errors
-    /// When the backend cannot load the model. Missing photographs only give a note.
+    /// When the backend cannot load the model. Missing photographs only cause a note.
     pub fn of(name: String, model: Model) -> Result<(Self, Renderers)> {
         let renderers = Renderers::open(&model)?;
         let (photographs, mut notes) = match Photographs::open(&model.config) {
@@ -62,7 +62,7 @@ impl Scene {
         Ok((Self { name, config: model.config, cropped: false, photographs, notes, report: None }, renderers))
     }
 
-    /// The description that a page receives when it opens.
+    /// Returns the description that a page receives when it opens.
     pub fn describe(&self, renderers: &[Renderer], device: &str) -> Value {
         let scene = &self.config.scene;
         json!({
@@ -109,22 +109,22 @@ impl Renderers {
         Ok(Self { all })
     }
 
-    /// The renderers that are loaded.
+    /// Returns the renderers that are loaded.
     pub fn names(&self) -> Vec<Renderer> {
         self.all.keys().copied().collect()
     }
 
-    /// The device that renders.
+    /// Returns the name of the device that renders.
     pub fn device(&self) -> String {
         self.all.values().next().map_or_else(String::new, |viewer| viewer.device_name())
     }
 
-    /// The renderer itself if it is loaded, otherwise volume rendering.
+    /// Returns `renderer` if it is loaded, otherwise volume rendering.
     pub fn known(&self, renderer: Renderer) -> Renderer {
         if self.all.contains_key(&renderer) { renderer } else { Renderer::Volume }
     }
 
-    /// A loaded renderer.
+    /// Returns a renderer, if it is loaded.
     pub fn get(&mut self, renderer: Renderer) -> Option<&mut Box<dyn Viewer>> {
         self.all.get_mut(&renderer)
     }
@@ -183,12 +183,12 @@ impl Photographs {
         sets.collect()
     }
 
-    /// The cameras of a set.
+    /// Returns the cameras of a set.
     fn cameras(&self, split: Split) -> &[Camera] {
         self.sets.get(&split).map_or(&[], |set| &set.cameras)
     }
 
-    /// The camera of a photograph.
+    /// Returns the camera of a photograph.
     ///
     /// # Errors
     /// When there is no such photograph.
@@ -203,7 +203,7 @@ impl Photographs {
         })
     }
 
-    /// A photograph composited over the background and resampled to `width` by `height` pixels.
+    /// Returns a photograph composited over the background and resampled to `width` by `height` pixels.
     ///
     /// # Errors
     /// When there is no such photograph, or it cannot be decoded.

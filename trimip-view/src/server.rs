@@ -25,10 +25,10 @@ use tokio::sync::{Semaphore, watch};
 use tokio::time::{interval, timeout};
 use trimip_core::{Advice, Error, Result};
 
-/// Most simultaneous pages.
+/// Maximum number of simultaneous pages.
 const MOST_PAGES: usize = 64;
 
-/// Interval of the pings that check whether a page is still there.
+/// Interval of the pings that check whether a page is still connected.
 const PULSE: Duration = Duration::from_secs(20);
 
 /// A page that accepts no message for this long counts as gone.
@@ -50,8 +50,8 @@ const FILES: [(&str, &str, &str); 8] = [
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Content security policy of reports. A report holds its style and script inline and may come from a stranger, so it is sandboxed: its
-/// origin is its own, and from there nothing of this server can be reached.
+/// Content security policy of reports. A report holds its style and script inline and may come from a stranger, so it is sandboxed: it gets
+/// an origin of its own, from which nothing of this server is accessible.
 const REPORT_POLICY: &str = "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; \
                              style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; \
                              frame-ancestors 'none'";
@@ -82,7 +82,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Binds an address; port 0 takes a free one.
+    /// Binds an address; port 0 selects a free port.
     ///
     /// # Errors
     /// When the address is taken or cannot be bound.
@@ -110,7 +110,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts serving. With `control`, pages watch a training run and control it.
+    /// Starts serving. With `control`, pages watch a training run and can control it.
     ///
     /// # Errors
     /// When no thread can be started.
@@ -174,7 +174,7 @@ impl Server {
         Ok(Self { address, state, stop, thread: Some(thread) })
     }
 
-    /// The thread that renders.
+    /// Returns the render thread.
     pub fn render_thread(&self) -> &RenderThread {
         &self.state.render_thread
     }
@@ -194,7 +194,7 @@ impl Drop for Server {
     }
 }
 
-/// 128 random bits.
+/// Returns 128 random bits as hexadecimal digits.
 fn token() -> Result<String> {
     let mut bytes = [0_u8; 16];
     getrandom::fill(&mut bytes).map_err(|error| Error::device(format!("no random numbers: {error}")))?;
@@ -203,7 +203,7 @@ fn token() -> Result<String> {
 
 impl ServerState {
     /// Fails unless the token is right and the request comes from the page itself. If the browser sends an `Origin`, it must be this
-    /// server's. The `Host` must be `localhost` or an IP address: a DNS name could be pointed here by an attacker.
+    /// server's. The `Host` must be `localhost` or an IP address, because an attacker could make a DNS name resolve to this machine.
     fn admit(&self, token: &str, headers: &HeaderMap) -> std::result::Result<(), StatusCode> {
         let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
@@ -230,7 +230,7 @@ fn text(kind: &'static str, body: String) -> Response {
     bounded(kind, POLICY, body)
 }
 
-/// A text response with the content security policy `policy`.
+/// Returns a text response with the content security policy `policy`.
 fn bounded(kind: &'static str, policy: &'static str, body: String) -> Response {
     let headers = [
         (header::CONTENT_TYPE, kind),
@@ -255,7 +255,7 @@ async fn about_scene(State(state): State<Arc<ServerState>>) -> Answered {
     Ok(text("application/json", state.about.clone()))
 }
 
-/// The report of the model's run, in its current state.
+/// Serves the report of the model's run, in its current state.
 async fn report(State(state): State<Arc<ServerState>>) -> Answered {
     let path = state.scene.report.clone().ok_or(StatusCode::NOT_FOUND)?;
     let read = tokio::task::spawn_blocking(move || std::fs::read_to_string(path));
@@ -349,7 +349,7 @@ async fn attend(state: Arc<ServerState>, mut socket: WebSocket) {
     state.render_thread.leave(id);
 }
 
-/// Sends a message. False if the page is gone or accepts nothing within [`PATIENCE`].
+/// Sends a message. Returns false if the page is gone or accepts nothing within [`PATIENCE`].
 async fn send(socket: &mut WebSocket, message: Message) -> bool {
     timeout(PATIENCE, socket.send(message)).await.is_ok_and(|sent| sent.is_ok())
 }

@@ -9,7 +9,7 @@ fn main() -> trimip::Result<()> {
     run(&std::env::args().skip(1).collect::<Vec<_>>())
 }
 
-/// Renders the model of the first argument, a run folder or a model file, to the picture file of the second.
+/// Renders a model to a picture file. The first argument names a run folder or model file, the second the picture.
 pub fn run(arguments: &[String]) -> trimip::Result<()> {
     let [model, picture] = arguments else {
         return Err(Error::input("arguments", "not two", "name a run folder or model file, and a picture"));

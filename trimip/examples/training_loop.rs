@@ -18,9 +18,9 @@ fn main() -> trimip::Result<()> {
     Ok(())
 }
 
-/// Trains for `steps`, and returns the mean absolute error of the first test view.
+/// Trains for `steps` steps, and returns the mean absolute error of the first test view.
 pub fn train(config: &Config, steps: u64) -> trimip::Result<f64> {
-    // The typed configuration takes part in the checks of ranges.
+    // Conversion to settings and back checks the ranges of the typed configuration.
     let config = Config::from_settings(&settings::of(config)?)?;
     let scene = data::open(&config.section()?)?;
     let mut session = backends::train(&config, scene.train)?;
@@ -36,7 +36,7 @@ pub fn train(config: &Config, steps: u64) -> trimip::Result<f64> {
     Ok(mean_absolute_error(&frame, &photograph))
 }
 
-/// Mean over pixels and channels of |rendered − photograph|.
+/// Returns the mean over pixels and channels of |rendered − photograph|.
 fn mean_absolute_error(frame: &Frame, photograph: &[[f32; 3]]) -> f64 {
     let errors = frame.pixels.iter().flat_map(|pixel| pixel.rgb).zip(photograph.iter().flatten());
     let sum: f64 = errors.map(|(a, b)| f64::from((a - b).abs())).sum();

@@ -12,7 +12,7 @@ use trimip_core::{
 #[cfg(feature = "wgpu")]
 use trimip_wgpu::{SOFTWARE_CELLS_PER_SECOND, SOFTWARE_SAMPLES_PER_SECOND, WgpuConfig};
 
-/// Opens a session that ranks share.
+/// Function that opens a session which several ranks share.
 type TrainOver = fn(&Config, ViewSet, Arc<dyn Ranks>) -> Result<Box<dyn Session>>;
 
 /// A registered backend. A `Rank` argument is the rank of this process on its machine.
@@ -63,12 +63,12 @@ const ENTRIES: &[Entry] = &[
 /// Sections of settings of the backends that this build lacks.
 pub(crate) const ABSENT: &[&str] = if cfg!(feature = "wgpu") { &[] } else { &["wgpu"] };
 
-/// The settings of the backends of this build.
+/// Returns the sections of settings of the backends of this build.
 pub fn sections() -> impl Iterator<Item = ForeignSection> {
     ENTRIES.iter().filter_map(|entry| entry.section)
 }
 
-/// Part of the name of the configured adapter; empty for backends without adapters.
+/// Returns the setting that selects an adapter by a part of its name; empty for backends without adapters.
 fn adapter(config: &Config) -> Result<String> {
     #[cfg(feature = "wgpu")]
     if config.backend == "wgpu" {
@@ -94,12 +94,12 @@ fn entry(name: &str) -> Result<&'static Entry> {
     })
 }
 
-/// Names of the backends of this build.
+/// Returns the names of the backends of this build.
 pub fn names() -> Vec<&'static str> {
     ENTRIES.iter().map(|entry| entry.name).collect()
 }
 
-/// Names of the backends that this machine can run.
+/// Returns the names of the backends that this machine can run.
 pub fn usable() -> Vec<String> {
     ENTRIES.iter().filter(|entry| (entry.usable)()).map(|entry| entry.name.to_string()).collect()
 }
@@ -109,7 +109,7 @@ pub fn describe() -> Vec<String> {
     ENTRIES.iter().map(|entry| format!("{}: {}", entry.name, (entry.describe)())).collect()
 }
 
-/// Graphics adapters that a backend of this build can use, one line each.
+/// Returns the graphics adapters that a backend of this build can use, one line each.
 #[cfg(feature = "wgpu")]
 pub fn adapters() -> Vec<String> {
     let mut lines = Vec::new();
@@ -123,7 +123,7 @@ pub fn adapters() -> Vec<String> {
     lines
 }
 
-/// Graphics adapters that a backend of this build can use: none without wgpu.
+/// Returns the graphics adapters that a backend of this build can use: none without wgpu.
 #[cfg(not(feature = "wgpu"))]
 pub fn adapters() -> Vec<String> {
     vec!["none: this build has no wgpu backend".into()]
@@ -145,7 +145,8 @@ pub fn train(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     train_beside(config, views, Rank::ONLY)
 }
 
-/// As [`train`], in a process with the rank `near` on its machine. Each process uses another of the equally good devices.
+/// Like [`train`], in a process whose rank on this machine is `near`. If several devices are equally good, each process
+/// uses a different one.
 ///
 /// # Errors
 /// As [`train`].
@@ -153,7 +154,7 @@ pub fn train_beside(config: &Config, views: ViewSet, near: Rank) -> Result<Box<d
     (entry(&config.backend)?.train)(config, views, near)
 }
 
-/// As [`train`], together with other ranks. Every rank has to call this function, with the same configuration and views.
+/// Like [`train`], together with other ranks. Every rank has to call this function, with the same configuration and views.
 ///
 /// # Errors
 /// As [`train`], and when the backend cannot be divided among that many ranks.
@@ -169,7 +170,7 @@ pub fn load(model: &Model) -> Result<Box<dyn Viewer>> {
     load_beside(model, Rank::ONLY)
 }
 
-/// As [`load`], in a process with the rank `near` on its machine; see [`train_beside`].
+/// Like [`load`], in a process whose rank on this machine is `near`; see [`train_beside`].
 ///
 /// # Errors
 /// As [`load`].
@@ -177,13 +178,12 @@ pub fn load_beside(model: &Model, near: Rank) -> Result<Box<dyn Viewer>> {
     (entry(&model.config.backend)?.load)(model, near)
 }
 
-/// Predicted memory for training in bytes, by part, photographs included; empty for an unknown backend.
+/// Predicts the memory for training, in bytes per part; the photographs are one of the parts. Empty for an unknown backend.
 pub fn predict_memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     entry(&config.backend).map_or_else(|_| Vec::new(), |entry| (entry.memory)(config, views))
 }
 
-/// Describes the device and the instructions that the configured backend computes with, in a process with the rank `near` on its
-/// machine.
+/// Describes the device and the instruction set that the configured backend uses in a process whose rank on this machine is `near`.
 ///
 /// # Errors
 /// When the backend or its device does not exist.
@@ -203,8 +203,8 @@ pub trait Visitor {
     fn visit<B: Backend>(self, open: &dyn Fn() -> Result<B>) -> Result<Self::Output>;
 }
 
-/// Runs `visitor` on the backend `name`, on the adapter whose name contains `adapter` or with `threads` threads (0: one
-/// per core).
+/// Runs `visitor` on the backend `name`: a GPU backend uses the adapter whose name contains `adapter`, the CPU backend
+/// `threads` threads (0: one per core).
 ///
 /// # Errors
 /// When the backend does not exist, or the work fails.
@@ -219,7 +219,7 @@ pub fn visit<V: Visitor>(name: &str, adapter: &str, threads: u32, visitor: V) ->
     visitor.visit(&|| trimip_cpu::CpuBackend::new(threads, simd))
 }
 
-/// As [`visit`], on the configured backend.
+/// Like [`visit`], on the configured backend.
 ///
 /// # Errors
 /// As [`visit`].
@@ -227,12 +227,12 @@ pub fn visit_configured<V: Visitor>(config: &Config, visitor: V) -> Result<V::Ou
     visit(&config.backend, &adapter(config)?, config.threads, visitor)
 }
 
-/// Full name of the configured device if it is a software renderer.
+/// Returns the full name of the configured device if it is a software renderer.
 fn software(config: &Config) -> Option<String> {
     (entry(&config.backend).ok()?.software)(config)
 }
 
-/// Remark printed before rendering if the selected adapter is a software renderer.
+/// Returns the remark that is printed before rendering if the selected adapter is a software renderer.
 pub fn software_remark(config: &Config) -> Option<String> {
     software(config).map(|name| {
         format!(
@@ -241,8 +241,8 @@ pub fn software_remark(config: &Config) -> Option<String> {
     })
 }
 
-/// Warning printed before the first step if the selected adapter is a software renderer: its name, the time of a step,
-/// and what to do instead.
+/// Returns the warning that is printed before the first step if the selected adapter is a software renderer: its name,
+/// the time of a step, and an alternative.
 pub fn software_warning(config: &Config) -> Option<String> {
     #[cfg(feature = "wgpu")]
     if let Some(name) = software(config) {
@@ -254,7 +254,8 @@ pub fn software_warning(config: &Config) -> Option<String> {
     None
 }
 
-/// `cells`: density queries of the first step, and of each step that refreshes the occupancy grid during its warm-up.
+/// Returns the text of [`software_warning`]. `cells` is the number of density queries in the first step, and in each
+/// step that refreshes the occupancy grid during its warm-up.
 #[cfg(feature = "wgpu")]
 fn software_text(name: &str, samples_per_step: u32, cells: f64) -> String {
     let step = f64::from(samples_per_step) / SOFTWARE_SAMPLES_PER_SECOND;

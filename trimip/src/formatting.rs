@@ -2,17 +2,17 @@
 
 pub use trimip_core::plural::count;
 
-/// `1 pixel`, `92.5 M pixels`: a large count with a noun whose plural ends in s.
+/// Formats a large count with a noun whose plural ends in s: `1 pixel`, `92.5 M pixels`.
 pub fn many(count: u64, thing: &str) -> String {
     if count == 1 { self::count(count, thing) } else { number(count as f64, &format!("{thing}s")) }
 }
 
-/// `1.5 GB`: bytes in decimal units, as on disks and in papers.
+/// Formats bytes in decimal units, as on disks and in papers: `1.5 GB`.
 pub fn bytes(count: u64) -> String {
     number(count as f64, "B")
 }
 
-/// `92.5 M`: a large count with a decimal prefix and a unit.
+/// Formats a large count with a decimal prefix and a unit: `92.5 M`.
 pub fn number(value: f64, unit: &str) -> String {
     let (mut value, mut prefix) = (value, "");
     for next in ["k", "M", "G", "T"] {
@@ -33,7 +33,7 @@ pub fn number(value: f64, unit: &str) -> String {
     format!("{value:.digits$} {prefix}{gap}{unit}").trim_end().to_string()
 }
 
-/// `4 min 03 s`: a duration.
+/// Formats a duration: `4 min 03 s`.
 pub fn duration(seconds: f64) -> String {
     if !seconds.is_finite() {
         return "unknown".into();

@@ -13,7 +13,7 @@ pub struct Inspection {
     pub seen: trimip_data::Inspection,
     /// The planned space, world units.
     pub space: Space<f64>,
-    /// How the space was decided; `None` if planning failed, which a warning reports.
+    /// The plan's decision about the space; `None` if planning failed, which a warning reports.
     pub plan: Option<Finding>,
     /// Warnings about the plan.
     pub warnings: Vec<String>,
@@ -24,7 +24,7 @@ pub struct Inspection {
 /// Opens the scene that the settings name, plans its space and checks it. Progress of reading goes to `watch`.
 ///
 /// # Errors
-/// Of kind `Input`, one line each, as [`trimip_data::open`].
+/// Those of [`trimip_data::open`], of kind `Input`, one line each.
 pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     let configured = Config::from_settings(&settings)?;
     let seen = examine(&configured.section()?, watch)?;
@@ -49,7 +49,7 @@ pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     Ok(Inspection { seen, space, plan, warnings, checks })
 }
 
-/// The parts of a scene that are checked.
+/// Returns the parts of a scene that the checks use.
 fn subject<'a>(scene: &'a Scene, space: &'a Space<f64>) -> Subject<'a> {
     Subject {
         train: &scene.train,
@@ -59,7 +59,7 @@ fn subject<'a>(scene: &'a Scene, space: &'a Space<f64>) -> Subject<'a> {
     }
 }
 
-/// All warnings about a scene before it is trained: of the data, of the plan, of the checks.
+/// Returns all warnings about a scene before training: those of the data, of the plan and of the checks.
 pub fn warnings(scene: &Scene, planned: &Config, facts: &Facts<'_>) -> Vec<String> {
     let space = Space::<f64>::new(&planned.scene);
     let checks = checks::all(&subject(scene, &space));
@@ -68,7 +68,7 @@ pub fn warnings(scene: &Scene, planned: &Config, facts: &Facts<'_>) -> Vec<Strin
 }
 
 impl Inspection {
-    /// Everything in lines of text: the description, then warnings of the data, of the plan and of the checks.
+    /// Returns the description as lines of text, followed by the warnings of the data, of the plan and of the checks.
     pub fn lines(&self) -> Vec<String> {
         let warnings = self.all_warnings();
         let told = warnings.iter().map(|warning| format!("warning: {warning}"));

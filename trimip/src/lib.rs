@@ -1,6 +1,6 @@
 //! Tri-MipRF (Hu et al., ICCV 2023) as a library: anti-aliased radiance fields from photographs, on the CPU or a GPU.
 //!
-//! - settings: [`settings::defaults`] are the documented defaults, [`Settings`] holds values set over them, [`Config`] is
+//! - settings: [`settings::defaults`] are the documented defaults, [`Settings`] holds values that override them, [`Config`] is
 //!   their typed form;
 //! - data: [`data::open`] reads a folder of photographs or generates the built-in scene;
 //! - training: [`Training`] trains into a run folder with callbacks and resumes an existing run; [`backends::train`]

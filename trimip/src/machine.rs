@@ -1,10 +1,10 @@
-//! The machine that the program runs on: processor, memory, system, disk. Read from Linux's own files. A value that
-//! another system does not report is `None`, never zero.
+//! The machine that the program runs on: processor, memory, operating system, disk. The values come from Linux's system
+//! files. A value that another system does not report is `None`, never zero.
 
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Version of the program, with the commit if the build found one.
+/// Returns the version of the program, with the commit if the build found one.
 pub fn version() -> String {
     match option_env!("TRIMIP_COMMIT") {
         Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),
@@ -47,25 +47,25 @@ impl Machine {
     }
 }
 
-/// Peak resident memory of this process so far (`VmHWM`), bytes.
+/// Returns the peak resident memory of this process so far (`VmHWM`), bytes.
 pub fn peak_memory() -> Option<u64> {
     kilobytes(&read("/proc/self/status"), "VmHWM:")
 }
 
-/// Resets the peak of [`peak_memory`], so that it covers only what follows. Returns false where the system cannot do that; the peak
-/// then remains that of the whole process.
+/// Resets the peak that [`peak_memory`] returns, so that it covers only the time after this call. Returns false if the
+/// system cannot do that; the peak then remains that of the whole process.
 pub fn reset_peak_memory() -> bool {
     std::fs::write("/proc/self/clear_refs", "5").is_ok()
 }
 
-/// Free bytes, for an ordinary user, on the disk that holds `path`.
+/// Returns the number of bytes free for an ordinary user on the disk that holds `path`.
 #[cfg(unix)]
 pub fn disk_free(path: &Path) -> Option<u64> {
     let stat = rustix::fs::statvfs(path).ok()?;
     Some(stat.f_bavail * stat.f_frsize)
 }
 
-/// Free bytes on the disk that holds `path`: unknown on this system.
+/// Returns `None`: on this system the free bytes on a disk are unknown.
 #[cfg(not(unix))]
 pub fn disk_free(_path: &Path) -> Option<u64> {
     None
@@ -79,14 +79,14 @@ fn smaller(a: Option<u64>, b: Option<u64>) -> Option<u64> {
     a.into_iter().chain(b).min()
 }
 
-/// The value after `name` and `separator` on the first line that starts with `name`, without quotes.
+/// Returns the value after `name` and `separator` on the first line that starts with `name`, without quotes.
 fn field(text: &str, name: &str, separator: char) -> Option<String> {
     let line = text.lines().find(|line| line.starts_with(name))?;
     let value = line.split_once(separator)?.1.trim().trim_matches('"');
     (!value.is_empty()).then(|| value.to_string())
 }
 
-/// The `kB` value on the line that starts with `name`, in bytes.
+/// Returns the `kB` value on the line that starts with `name`, in bytes.
 fn kilobytes(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     line.trim().trim_end_matches("kB").trim().parse::<u64>().ok().map(|value| value * 1024)

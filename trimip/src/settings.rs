@@ -12,17 +12,17 @@ static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| {
     Arc::new(Definitions::new(&sections, backends::ABSENT))
 });
 
-/// The definitions of all settings of this build: defaults, ranges and meanings.
+/// Returns the definitions of all settings of this build: defaults, ranges and meanings.
 pub fn definitions() -> Arc<Definitions> {
     ALL.clone()
 }
 
-/// The defaults of all settings of this build.
+/// Returns the defaults of all settings of this build.
 pub fn defaults() -> Settings {
     Settings::of(definitions())
 }
 
-/// The settings of a configuration that was built in code. Checks every range.
+/// Returns the settings of a configuration that was built in code, after checking every range.
 ///
 /// # Errors
 /// When a setting is out of range; the message names the first one.
@@ -33,7 +33,7 @@ pub fn of(config: &Config) -> Result<Settings> {
     Ok(settings)
 }
 
-/// The settings by which a configuration that was built in code differs from the defaults. The scene plan may decide about all others.
+/// Returns the settings whose values in a configuration built in code differ from the defaults. The scene plan may decide about all others.
 ///
 /// ```
 /// use trimip::{Config, Training, settings};
@@ -58,7 +58,7 @@ pub fn changed(config: &Config) -> Result<Settings> {
     Ok(settings)
 }
 
-/// Applies assignments to the configuration of a trained model. Settings that define the model cannot change.
+/// Applies assignments to the configuration of a trained model. Settings that define the model are refused.
 ///
 /// # Errors
 /// When a setting does not exist, is out of range, or belongs to the trained model.
@@ -99,7 +99,7 @@ pub struct SettingRow {
     pub meaning: String,
 }
 
-/// All settings in the order of the table of defaults.
+/// Returns all settings in the order of the table of defaults.
 pub fn rows(settings: &Settings) -> Vec<SettingRow> {
     let mut rows = Vec::new();
     for section in settings.definitions().documented() {
@@ -121,7 +121,7 @@ pub fn rows(settings: &Settings) -> Vec<SettingRow> {
     rows
 }
 
-/// The settings as aligned TOML, with the origin of each value as a comment.
+/// Returns the settings as aligned TOML, with the origin of each value as a comment.
 pub fn text(settings: &Settings) -> String {
     let rows = rows(settings);
     let key_width = rows.iter().map(|row| row.key.len()).max().unwrap_or(0);
@@ -178,7 +178,7 @@ mod tests {
         assert_eq!(error.kind(), trimip_core::ErrorKind::Input);
     }
 
-    /// The page of all settings is up to date. A build without a backend lacks its settings.
+    /// Checks that the page of all settings is up to date. A build without a backend lacks the settings of that backend.
     #[cfg(feature = "wgpu")]
     #[test]
     fn generated_page_is_that_of_all_tables() {
@@ -227,7 +227,7 @@ mod tests {
                         convention edge_exponents background builtin_size builtin_train builtin_test \
                         builtin_supersampling builtin_finish most_pixels pixels";
         assert_eq!(keys, expected.split_whitespace().collect::<Vec<_>>());
-        // Core alone reads and writes the same text, without definitions of the other crates' settings.
+        // Core reads and writes the same text without the definitions of the other crates' settings.
         assert_eq!(Config::from_toml("model", &text).unwrap().to_toml(), text);
     }
 }

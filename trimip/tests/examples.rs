@@ -1,4 +1,4 @@
-//! Runs the examples: two train and write a picture, the third renders a model. The README shows a function of the first.
+//! Runs the examples: two train and write a picture, the third renders a model. The README shows the function of the first one.
 
 #[allow(dead_code)]
 #[path = "../examples/first.rs"]
@@ -15,7 +15,7 @@ mod training_loop;
 
 use std::path::Path;
 
-/// A run of a tenth of a second.
+/// Settings of a run that takes a tenth of a second.
 const TINY: [&str; 9] = [
     "data.builtin_size=16",
     "data.builtin_train=4",

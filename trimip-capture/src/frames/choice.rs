@@ -1,27 +1,27 @@
-//! Chooses frames of a film: the sharpest of each interval of motion.
+//! Chooses the frames of a film: the sharpest in each interval of motion.
 
 use super::measure::Measured;
 use trimip::formatting::{count, duration};
 
-/// Frames per second if the user gives no number, and the fewest and most frames.
+/// Chosen frames per second of film if the user gives no number, and the minimum and maximum number of frames.
 const RATE: f64 = 2.0;
 const FEWEST: f64 = 50.0;
 const MOST: f64 = 300.0;
 
-/// Least motion between two frames that count as different, in longest sides of the picture.
+/// Minimum motion between two frames that count as different, relative to the longest side of the picture.
 const LEAST_STEP: f64 = 0.01;
 
-/// Share of its sharpness that a frame at the end of its interval loses against one in the middle, so that chosen frames do not lie next to
-/// each other.
+/// Fraction by which the score of a frame is lowered at the end of its interval, compared with the middle. It keeps chosen frames from
+/// lying next to each other.
 const AT_THE_END: f64 = 0.3;
 
-/// Most intervals per wanted frame.
+/// Maximum number of intervals per requested frame.
 const NARROWEST: usize = 32;
 
-/// Share of the film's frames above which frames without motion between them are taken too.
+/// If at least this share of all frames is requested, frames without motion between them are taken too.
 const NEARLY_ALL: f64 = 0.8;
 
-/// Change of exposure between neighbours that is reported, stops; and the most changes that are listed.
+/// Minimum change of exposure between neighbouring chosen frames that is reported, in stops; and maximum number of changes that are listed.
 const JUMP: f64 = 0.5;
 const NAMED: usize = 3;
 
@@ -37,7 +37,7 @@ pub struct Chosen {
     pub notes: Vec<String>,
 }
 
-/// Chooses frames; `wanted` is the number that the user asked for.
+/// Chooses frames; `wanted` is the number that the user requested.
 pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     let last = measured.last().map_or(0.0, |frame| frame.seconds);
     let motion = measured.last().map_or(0.0, |frame| frame.motion);
@@ -62,9 +62,9 @@ pub fn choose(measured: &[Measured], wanted: Option<u32>) -> Chosen {
     Chosen { frames, notes }
 }
 
-/// Chooses `count` frames, spread over the motion. Where a film moves unevenly, some intervals hold no frame: then narrower intervals are
-/// tried, and the frames that add the least motion are dropped. Of frames without motion between them only one is taken, unless nearly all
-/// frames are wanted.
+/// Chooses `count` frames, spread over the motion. If a film moves unevenly, some intervals hold no frame; the function then tries narrower
+/// intervals and drops the frames that add the least motion. It takes only one of several frames without motion between them, unless nearly
+/// all frames are requested.
 fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
     let mut frames: Vec<usize> = (0..measured.len()).collect();
     if (count as f64) < NEARLY_ALL * measured.len() as f64 {
@@ -76,7 +76,7 @@ fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
         }
     }
     while frames.len() > count.max(2) {
-        // The motion between the neighbours of the frame, then its own sharpness.
+        // The value of a frame: the motion between its neighbours, then its own sharpness.
         let worth = |place: usize| {
             let motion = measured[frames[place + 1]].motion - measured[frames[place - 1]].motion;
             (motion, measured[frames[place]].sharpness)
@@ -91,8 +91,8 @@ fn as_many(measured: &[Measured], count: usize) -> Vec<usize> {
     frames
 }
 
-/// The sharpest frame of each of `count` intervals. The intervals have equal motion, or equal time if the film has no motion; empty
-/// intervals give no frame.
+/// Returns the sharpest frame of each of `count` intervals. The intervals have equal motion, or equal time if the film has no motion; empty
+/// intervals yield no frame.
 fn sharpest(measured: &[Measured], count: usize) -> Vec<usize> {
     let motion = measured.last().map_or(0.0, |frame| frame.motion);
     let place = |index: usize| match motion > 0.0 {
@@ -113,7 +113,7 @@ fn sharpest(measured: &[Measured], count: usize) -> Vec<usize> {
     best.into_iter().flatten().map(|(_, index)| index).collect()
 }
 
-/// Reports how long nothing moves in the film.
+/// Reports for how long nothing moves in the film.
 fn still(measured: &[Measured], last: f64) -> Option<String> {
     let still = |pair: &[Measured]| pair[1].motion <= pair[0].motion;
     // Motion is measured at only some frames, so only stretches longer than a second count as pauses.
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn uneven_motion_takes_no_frames_away() {
-        // Fifty photographs in a row: some steps are ten times as long as others, and every fifth step has no motion.
+        // Fifty photographs in sequence: some steps are ten times as long as others, and every fifth step has no motion.
         let mut motion = 0.0;
         let film: Vec<_> = (0..50)
             .map(|i| {

@@ -7,13 +7,14 @@ use trimip::{
     formatting::{count, duration},
 };
 
-/// Longest side at which frames are measured, pixels. This is half the size of a phone's film, where a blur of two pixels still shows.
+/// Longest side of the frames that are measured, pixels: half of that of a phone's film. A blur of two pixels is still visible at this
+/// size.
 const MEASURED: u32 = 960;
 
-/// Relative difference of the mean and the nominal frame rate above which the rate is called variable.
+/// Relative difference between the mean and the nominal frame rate above which the rate counts as variable.
 const VARIABLE: f64 = 0.01;
 
-/// Dynamic range of a film, by its transfer function.
+/// Dynamic range of a film, which its transfer function determines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Range {
     /// Standard dynamic range.
@@ -29,7 +30,7 @@ enum Range {
 pub struct Film {
     /// Displayed width and height, pixels.
     size: [u32; 2],
-    /// Rotation that a player applies, degrees.
+    /// Rotation that a player applies when showing the film, degrees.
     turned: i32,
     /// Duration, seconds; 0 if the file does not state it.
     seconds: f64,
@@ -86,7 +87,7 @@ struct SideData {
 }
 
 impl Film {
-    /// Asks ffprobe about a film.
+    /// Reads the properties of a film with ffprobe.
     ///
     /// # Errors
     /// Of kind `Input`, when ffprobe cannot read the film.
@@ -151,7 +152,7 @@ impl Film {
         })
     }
 
-    /// Describes the film in words. `maps_tones` says whether this ffmpeg can tone-map HDR.
+    /// Describes the film in words. `maps_tones` is true if this ffmpeg can tone-map HDR.
     pub fn lines(&self, maps_tones: bool) -> Vec<String> {
         let [width, height] = self.size;
         let length = match self.seconds {
@@ -191,19 +192,19 @@ impl Film {
         vec![line]
     }
 
-    /// Size at which frames are measured: even numbers of pixels.
+    /// Returns the size at which frames are measured: even numbers of pixels.
     pub fn measured_size(&self) -> [u32; 2] {
         let longest = self.size[0].max(self.size[1]);
         let scale = f64::from(MEASURED.min(longest)) / f64::from(longest);
         self.size.map(|side| ((f64::from(side) * scale / 2.0).round() as u32 * 2).max(16))
     }
 
-    /// The filter that deinterlaces, with a trailing comma; empty for progressive films.
+    /// Returns the filter that deinterlaces, with a trailing comma; empty for progressive films.
     pub fn deinterlace(&self) -> &'static str {
         if self.is_interlaced { "yadif," } else { "" }
     }
 
-    /// The filters that tone-map HDR to the range of photographs, with a leading comma; empty if there is nothing to map.
+    /// Returns the filters that tone-map HDR to the range of photographs, with a leading comma; empty if nothing has to be mapped.
     pub fn tones(&self, maps_tones: bool) -> &'static str {
         match self.range {
             Range::Standard => "",
@@ -224,7 +225,7 @@ fn rate(text: &str) -> Option<f64> {
     (rate.is_finite() && rate > 0.0).then_some(rate)
 }
 
-/// Bits per channel of a pixel format.
+/// Returns the number of bits per channel of a pixel format.
 fn bits(format: &str) -> u32 {
     let deep = [("p10", 10), ("p12", 12), ("p16", 16), ("10le", 10), ("12le", 12)];
     deep.iter().find(|(part, _)| format.contains(part)).map_or(8, |(_, bits)| *bits)

@@ -8,7 +8,7 @@ use crate::{
 use std::sync::atomic::AtomicBool;
 use trimip::{Error, Result};
 
-/// Motion measurements per second; frames between two measurements share the motion equally.
+/// Number of motion measurements per second. The motion between two measurements is shared equally by the frames between them.
 const MOTION_RATE: f64 = 15.0;
 
 /// Measurements of a frame of a film.
@@ -20,12 +20,13 @@ pub struct Measured {
     pub sharpness: f64,
     /// Mean grey level of the frame, 0 to 255.
     pub brightness: f64,
-    /// Motion of the picture from the first frame to this one, in longest sides of the picture.
+    /// Motion of the picture from the first frame to this one, in units of the picture's longest side.
     pub motion: f64,
 }
 
-/// Measures the frames that `call` writes as grey pictures of `size`, with their times in output lines of the filter `showinfo`. `rate` is
-/// the mean number of frames per second, for frames without a time. `progress` receives the number of frames so far.
+/// Measures the frames that `call` writes as grey pictures of `size`. The times of the frames are in output lines of
+/// the filter `showinfo`; for frames without a time, `rate` is the mean number of frames per second. `progress`
+/// receives the number of frames so far.
 ///
 /// # Errors
 /// When ffmpeg fails before the first frame.
@@ -48,7 +49,7 @@ pub fn frames(
     };
     let ended = call.run_to_end(stop, &mut measuring)?;
     let Measuring { mut measured, times, .. } = measuring;
-    // ffmpeg ends with an error on a truncated film, whose frames are usable all the same.
+    // ffmpeg ends with an error on a truncated film, but the frames before the end are usable.
     if measured.is_empty() && !ended.is_success() {
         return Err(call.failed(&ended));
     }
@@ -61,7 +62,7 @@ pub fn frames(
     Ok(measured)
 }
 
-/// Spreads the motion between each `stride`-th frame and the next one equally over the frames between them.
+/// Spreads the motion between every `stride`-th frame and the next such frame equally over the frames between them.
 fn divide_motion(measured: &mut [Measured], stride: usize) {
     for first in (0..measured.len().saturating_sub(stride)).step_by(stride) {
         let (before, after) = (measured[first].motion, measured[first + stride].motion);
@@ -73,7 +74,7 @@ fn divide_motion(measured: &mut [Measured], stride: usize) {
 }
 
 struct Measuring<'a> {
-    /// The frame that is being read; its pixels are incomplete.
+    /// The frame that is being read, so far incomplete.
     frame: Grey,
     follower: Follower,
     /// Motion is measured at every `stride`-th frame.

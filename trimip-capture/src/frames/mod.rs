@@ -1,5 +1,5 @@
-//! Takes frames of a film as pictures of a capture, in two passes of ffmpeg. The first measures every frame at a small size; then the
-//! sharpest of each interval of motion are chosen, and the second pass writes those at full size.
+//! Takes frames of a film as pictures of a capture, in two passes of ffmpeg. The first pass measures every frame at a small size. The
+//! program then chooses the sharpest frame of each interval of motion, and the second pass writes the chosen frames at full size.
 
 mod choice;
 mod film;
@@ -21,21 +21,21 @@ use std::{
 };
 use trimip::{Error, Result, formatting::duration};
 
-/// What the user asks of a film.
+/// The user's request for a film.
 pub struct Request<'a> {
     /// Absolute path of the film.
     pub film: &'a Path,
-    /// Number of frames, if the user gave one.
+    /// Number of frames, if the user specified it.
     pub frames: Option<u32>,
-    /// Threads of ffmpeg; 0 = ffmpeg's default.
+    /// Number of threads of ffmpeg; 0 = ffmpeg's default.
     pub threads: u32,
 }
 
-/// The programs ffmpeg and ffprobe, and what this ffmpeg can do.
+/// Paths and abilities of the programs ffmpeg and ffprobe.
 struct Ffmpeg {
     ffmpeg: PathBuf,
     ffprobe: PathBuf,
-    /// The option that neither drops nor repeats frames; its name depends on the version.
+    /// The option that makes ffmpeg neither drop nor repeat frames; its name depends on the version.
     passthrough: [&'static str; 2],
     /// True if this ffmpeg can tone-map HDR.
     maps_tones: bool,
@@ -155,7 +155,7 @@ pub fn take(
     Ok(pictures)
 }
 
-/// True for a line of `-progress`, such as `speed=1.2x`. These lines would hide the last messages of an ffmpeg that fails.
+/// Returns true for a line of `-progress`, such as `speed=1.2x`. These lines would hide the last messages of an ffmpeg that fails.
 fn is_progress(line: &str) -> bool {
     let is_key = |key: &str| key.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
     line.split_once('=').is_some_and(|(key, _)| is_key(key))

@@ -1,33 +1,33 @@
-//! Measures how far the picture of a film has moved, by block matching between reduced pictures. Frames are spread over the sum of this
-//! motion along the film, so a camera that stands still yields few frames and a moving one many.
+//! Measures how far the picture of a film has moved, by block matching between reduced pictures. The chosen frames are spread over the sum
+//! of this motion, so a camera at rest yields few frames and a moving camera many.
 
 use crate::grey::Grey;
 
-/// Pixels along the longest side of the small pictures.
+/// Longest side of the reduced pictures, pixels.
 const LONGEST: usize = 160;
-/// Side of a square that is searched for, and the radius of the search, pixels of the small picture.
+/// Side of a block, and radius of the search for it, pixels of the reduced picture.
 const SQUARE: usize = 16;
 const REACH: usize = 12;
-/// Least variance of a square that can be matched, grey levels squared.
+/// Minimum variance of a block that can be matched, grey levels squared.
 const TEXTURE: f64 = 20.0;
-/// Mean absolute difference at the best place above which a square counts as lost, grey levels.
+/// Mean absolute difference at the best match above which a block counts as lost, grey levels.
 const LOST: f64 = 24.0;
-/// Motion below which the picture counts as still, pixels: noise alone shifts squares by less.
+/// Motion below which the picture counts as still, pixels. Noise shifts blocks by less.
 const STILL: f64 = 0.3;
-/// Motion after which the anchor, the picture that later ones are compared with, is renewed; pixels.
+/// Motion after which the anchor is renewed, pixels. The anchor is the picture that later ones are compared with.
 const RENEW: f64 = 4.0;
 
 /// Tracks the motion of a film.
 #[derive(Default)]
 pub struct Follower {
     anchor: Option<Grey>,
-    /// Motion up to the anchor, and the largest motion so far, pixels of the small picture.
+    /// Motion up to the anchor, and largest motion so far, pixels of the reduced picture.
     before: f64,
     largest: f64,
 }
 
 impl Follower {
-    /// Motion of the picture from the first frame to this one, in longest sides of the picture. It never decreases.
+    /// Returns the motion of the picture from the first frame to this one, in units of the picture's longest side. It never decreases.
     pub fn follow(&mut self, frame: &Grey) -> f64 {
         let side = frame.width.max(frame.height).div_ceil(LONGEST).max(1);
         let small = frame.reduced(side);
@@ -48,7 +48,7 @@ impl Follower {
     }
 }
 
-/// Median distance by which squares of `from` have moved in `to`, pixels; a lost square counts as [`REACH`].
+/// Returns the median distance by which blocks of `from` have moved in `to`, pixels; for a lost block the distance is [`REACH`].
 fn displacement(from: &Grey, to: &Grey) -> f64 {
     let mut found = Vec::new();
     let corners = |side: usize| (REACH..(side.saturating_sub(SQUARE + REACH - 1)).max(REACH)).step_by(SQUARE);
@@ -85,8 +85,8 @@ fn variance(picture: &Grey, left: usize, top: usize) -> f64 {
     squares as f64 / count - mean * mean
 }
 
-/// Distance to the best match of a square, pixels; `None` if it is lost. A parabola through the differences next to the least one gives
-/// subpixel precision.
+/// Returns the distance to the best match of a block, pixels; `None` if the block is lost. A parabola through the smallest difference and
+/// its neighbours gives subpixel precision.
 fn search(from: &Grey, to: &Grey, left: usize, top: usize) -> Option<f64> {
     const SIDE: usize = 2 * REACH + 1;
     let difference = |x: usize, y: usize| -> u32 {
@@ -94,7 +94,7 @@ fn search(from: &Grey, to: &Grey, left: usize, top: usize) -> Option<f64> {
         rows.map(|(a, b)| a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum::<u32>()).sum()
     };
     let table: Vec<u32> = (0..SIDE * SIDE).map(|i| difference(i % SIDE, i / SIDE)).collect();
-    // Among equal matches the nearest wins: a square without texture has not moved.
+    // If matches are equal, the nearest wins, so that a block without texture has not moved.
     let far = |i: usize| (i % SIDE).abs_diff(REACH).pow(2) + (i / SIDE).abs_diff(REACH).pow(2);
     let best = (0..table.len()).min_by_key(|&i| (table[i], far(i)))?;
     if f64::from(table[best]) > LOST * (SQUARE * SQUARE) as f64 {
@@ -120,7 +120,7 @@ fn search(from: &Grey, to: &Grey, left: usize, top: usize) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// A picture of smooth random waves, shifted by `dx`, `dy`.
+    /// Returns a picture of smooth random waves, shifted by `dx`, `dy`.
     fn waves(dx: f64, dy: f64, noise: u32) -> Grey {
         let (width, height) = (320, 180);
         let mut random = 1_u32;

@@ -1,5 +1,5 @@
-//! The programs `colmap`, of any version since 3.6, and `glomap`. Option names differ between versions: those that the program's help lists
-//! are used.
+//! The programs `colmap`, of any version since 3.6, and `glomap`. Option names differ between versions; this module uses those that the
+//! program's help lists.
 
 use crate::{
     decisions::{Cameras, Decisions, Pairs},
@@ -13,7 +13,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// An option: its names in different versions, of which the first that the program has is used, and its value.
+/// An option: its names in different versions, and its value. The first name that the program has is used.
 type Choice = (&'static [&'static str], OsString);
 
 /// The program `colmap`.
@@ -41,8 +41,8 @@ impl Colmap {
         Some(Self { program, version, has_cuda, has_global })
     }
 
-    /// A call of a command. An option may have several names, of which the first that the command has is used; an option that it lacks is
-    /// left out.
+    /// Returns a call of a command. An option may have several names, of which the first that the command has is used. An option that the
+    /// command lacks is left out.
     fn call<'a>(&'a self, folder: &'a Folder, log: &str, command: &str, options: &[Choice]) -> Call<'a> {
         let known = self.options_of(command);
         let mut arguments: Vec<OsString> = vec![command.into()];
@@ -59,19 +59,19 @@ impl Colmap {
             name: format!("colmap {command}"),
             program: &self.program,
             arguments,
-            // Arguments are paths relative to this folder, free of special characters that the user's own path may contain.
+            // Arguments are paths relative to this folder: the user's own path may contain special characters, these do not.
             folder: folder.root(),
             log: folder.log(log),
         }
     }
 
-    /// The options that the help of a command lists.
+    /// Returns the options that the help of a command lists.
     fn options_of(&self, command: &str) -> BTreeSet<String> {
         let help = ask(&self.program, &[command, "--help"]).or_else(|| ask(&self.program, &[command, "-h"]));
         options(&help.unwrap_or_default())
     }
 
-    /// The call that finds features.
+    /// Returns the call that finds features.
     pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Call<'a> {
         let flag = |cameras: Cameras| OsString::from(if by.cameras == cameras { "1" } else { "0" });
         let options = vec![
@@ -88,7 +88,7 @@ impl Colmap {
         self.call(folder, "features", "feature_extractor", &options)
     }
 
-    /// The call that compares pairs.
+    /// Returns the call that compares pairs.
     pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Call<'a> {
         let mut options = matching(database, by);
         let command = match &by.pairs {
@@ -113,7 +113,7 @@ impl Colmap {
         self.call(folder, "matches", command, &options)
     }
 
-    /// The call that compares the pairs of a list.
+    /// Returns the call that compares the pairs of a list.
     pub fn loops<'a>(&'a self, folder: &'a Folder, database: &str, list: &str, by: &Decisions) -> Call<'a> {
         let mut options = matching(database, by);
         options.push(choice(&["match_list_path"], list));
@@ -121,7 +121,7 @@ impl Colmap {
         self.call(folder, "loops", "matches_importer", &options)
     }
 
-    /// The call that places cameras.
+    /// Returns the call that places cameras.
     pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Call<'a> {
         let mut options = vec![
             choice(&["database_path"], "database.db"),
@@ -137,7 +137,7 @@ impl Colmap {
     }
 }
 
-/// The call that places cameras with glomap.
+/// Returns the call that places cameras with glomap.
 pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'a> {
     let call = Call {
         name: "glomap mapper".into(),
@@ -149,7 +149,7 @@ pub fn glomap<'a>(folder: &'a Folder, program: &'a Path, models: &str) -> Call<'
     call.with(["mapper", "--database_path", "database.db", "--image_path", "images", "--output_path", models])
 }
 
-/// Options that all matchers share.
+/// Returns the options that all matchers share.
 fn matching(database: &str, by: &Decisions) -> Vec<Choice> {
     vec![
         choice(&["database_path"], database),
@@ -166,12 +166,12 @@ fn number(value: u32) -> OsString {
     value.to_string().into()
 }
 
-/// Number of threads; COLMAP takes −1 for all.
+/// Returns the number of threads; for all threads COLMAP expects −1.
 fn threads(by: &Decisions) -> OsString {
     if by.threads == 0 { "-1".into() } else { number(by.threads) }
 }
 
-/// The options in a help text: words that begin with two hyphens.
+/// Returns the options in a help text: words that begin with two hyphens.
 fn options(help: &str) -> BTreeSet<String> {
     let words = help.split(|c: char| c.is_whitespace() || c == '=' || c == '[' || c == ',');
     words

@@ -6,7 +6,7 @@ pub struct Counter {
     what: What,
     /// Number of pictures.
     all: u64,
-    /// Largest count so far: the mapper starts a further model at 2 again.
+    /// Largest count so far. It is kept because the count restarts at 2 when the mapper begins another model.
     most: u64,
     found_nothing: bool,
 }
@@ -18,27 +18,27 @@ enum What {
     Model,
 }
 
-/// Messages of a mapper that finds no model.
+/// Messages of a mapper that found no model.
 const NOTHING: [&str; 3] =
     ["failed to create sparse model", "Failed to create any sparse model", "No images with matches found"];
 
 impl Counter {
-    /// Counts files whose features are found.
+    /// Creates a counter of the files whose features have been found.
     pub fn features(all: u64) -> Self {
         Self { what: What::Features, all, most: 0, found_nothing: false }
     }
 
-    /// Counts pictures or blocks that are compared.
+    /// Creates a counter of the pictures or blocks that have been compared.
     pub fn matches() -> Self {
         Self { what: What::Matches, all: 0, most: 0, found_nothing: false }
     }
 
-    /// Counts cameras that are placed.
+    /// Creates a counter of the cameras that have been placed.
     pub fn model(all: u64) -> Self {
         Self { what: What::Model, all, most: 0, found_nothing: false }
     }
 
-    /// The numbers done and in total, if a line states them.
+    /// Returns the number of items done and their total, if a line states them.
     pub fn count(&mut self, line: &str) -> Option<(u64, u64)> {
         let lower = line.to_lowercase();
         self.found_nothing |= NOTHING.iter().any(|sign| lower.contains(&sign.to_lowercase()));
@@ -65,13 +65,13 @@ impl Counter {
         }
     }
 
-    /// True if the mapper has reported that it found no model.
+    /// Returns true if the mapper has reported that it found no model.
     pub fn found_nothing(&self) -> bool {
         self.found_nothing
     }
 }
 
-/// The numbers of `[3/50]`, or those of `[1/2, 2/2]` combined.
+/// Returns the numbers of `[3/50]`, or the combined numbers of `[1/2, 2/2]`.
 fn in_brackets(text: &str) -> Option<(u64, u64)> {
     let inner = text.split_once('[')?.1.split_once(']')?.0;
     let pair = |part: &str| {

@@ -1,6 +1,6 @@
 //! Estimates the poses of pictures with other programs, in three stages: features, matches, a model. COLMAP is called and not linked: it is
-//! a large C++ program with its own solvers and GPU code, it is available prebuilt for every system, and its results are files that this
-//! program reads anyway.
+//! a large C++ program with its own solvers and GPU code, prebuilt packages exist for every system, and it writes its results to files that
+//! this program can read anyway.
 
 mod colmap;
 mod counts;
@@ -29,9 +29,9 @@ use trimip::{Error, Place, Result};
 pub struct Poses {
     /// Finds features and matches, and places cameras unless glomap does.
     engine: Engine,
-    /// Path of glomap, which can place the cameras instead.
+    /// Path of glomap, which can place the cameras instead of `engine`.
     glomap: Option<PathBuf>,
-    /// True if the user asked for glomap.
+    /// True if the user requested glomap.
     only_glomap: bool,
 }
 
@@ -44,17 +44,17 @@ enum Engine {
 pub struct Watching<'a> {
     /// Set when the user stops the capture.
     pub stop: &'a AtomicBool,
-    /// Receives the counts, done and total.
+    /// Receives the number of items done and their total.
     pub progress: &'a mut dyn FnMut(u64, u64),
 }
 
 impl Poses {
-    /// Finds the program `wanted`. Without one, the order is: the program that computed the features of this capture (`began`), colmap,
-    /// pycolmap. A pycolmap of version 4 or later precedes a colmap before version 4, which takes several times as long on a CPU. Error
-    /// messages name `place`, the input.
+    /// Finds the program `wanted`. If it is `None`, the order is: the program that computed the features of this capture (`began`), colmap,
+    /// pycolmap. A pycolmap of version 4 or later is preferred to a colmap before version 4, whose matching takes several times as long on
+    /// a CPU. Error messages name `place`, the input.
     ///
     /// # Errors
-    /// Of kind `Input`, with the command that installs what is missing.
+    /// Of kind `Input`; the message has the command that installs what is missing.
     pub fn find(wanted: Option<PosesProgram>, began: Option<PosesProgram>, place: &Path) -> Result<Self> {
         let glomap = programs::find("glomap");
         let only_glomap = wanted == Some(PosesProgram::Glomap);
@@ -91,7 +91,7 @@ impl Poses {
         Ok(Self { engine: engine?, glomap, only_glomap })
     }
 
-    /// Name and version of the program that finds features and matches.
+    /// Returns the name and version of the program that finds features and matches.
     pub fn name(&self) -> &str {
         match &self.engine {
             Engine::Colmap(colmap) => &colmap.version,
@@ -99,7 +99,7 @@ impl Poses {
         }
     }
 
-    /// A hint at a faster program, if this one is slow.
+    /// Returns a hint about a faster program, if this one is slow.
     pub fn hint(&self) -> Option<&'static str> {
         let is_slow =
             matches!(&self.engine, Engine::Colmap(colmap) if is_old(&colmap.version) && !colmap.has_cuda);
@@ -107,7 +107,7 @@ impl Poses {
             .then_some("pip install pycolmap installs version 4, which takes a fraction of the time on a CPU")
     }
 
-    /// What these programs can do.
+    /// Returns the abilities of these programs.
     pub fn ability(&self) -> Ability {
         let (own, gpu, why_no_gpu) = match &self.engine {
             Engine::Colmap(colmap) => {
@@ -127,7 +127,7 @@ impl Poses {
         }
     }
 
-    /// Name of the program that places the cameras.
+    /// Returns the name of the program that places the cameras.
     pub fn mapper_name(&self, decisions: &Decisions) -> String {
         match self.glomap_of(decisions) {
             Some(_) => "glomap".into(),
@@ -135,7 +135,7 @@ impl Poses {
         }
     }
 
-    /// Path of glomap, if it places the cameras.
+    /// Returns the path of glomap, if it places the cameras.
     fn glomap_of(&self, decisions: &Decisions) -> Option<&Path> {
         let own = match &self.engine {
             Engine::Colmap(colmap) => colmap.has_global,
@@ -182,7 +182,7 @@ impl Poses {
         };
         run(&call, Counter::matches(), watching)?;
         let Pairs::Sequential { every: every @ 1.., .. } = decisions.pairs else { return Ok(()) };
-        // Pictures far apart in the film may show the same place: a second pass compares evenly spread pictures.
+        // Pictures far apart in the film may show the same place, so a second pass compares evenly spread pictures.
         let list = "log/pairs.txt";
         let spread: Vec<&str> =
             pictures.pictures.iter().step_by(every).map(|picture| picture.name.as_str()).collect();
@@ -204,7 +204,7 @@ impl Poses {
     /// Places cameras. Writes each model to a numbered folder in the new folder `models`.
     ///
     /// # Errors
-    /// When the program fails for another reason than finding no model.
+    /// When the program fails for any reason other than finding no model.
     pub fn model(
         &self,
         folder: &Folder,
@@ -235,7 +235,7 @@ impl Poses {
         Err(call.failed(&ended))
     }
 
-    /// The error for pictures of which no camera was placed.
+    /// Returns the error for a capture in which no camera could be placed.
     pub fn placed_nothing(&self, folder: &Folder) -> Error {
         Error::input(
             folder.path("images").display(),
@@ -248,7 +248,7 @@ impl Poses {
     }
 }
 
-/// True for `colmap 3.8` and the like: versions before 4 match features much more slowly.
+/// Returns true for a version before 4, such as `colmap 3.8`: these versions match features much more slowly.
 fn is_old(version: &str) -> bool {
     let number = version.split_whitespace().nth(1).and_then(|number| number.split('.').next());
     number.and_then(|major| major.parse::<u32>().ok()).is_some_and(|major| major < 4)
@@ -265,7 +265,7 @@ fn run(call: &Call<'_>, mut counter: Counter, watching: &mut Watching<'_>) -> Re
     .map(drop)
 }
 
-/// True if NVIDIA's driver lists a GPU.
+/// Returns true if NVIDIA's driver lists a GPU.
 fn has_nvidia() -> bool {
     let lists = programs::find("nvidia-smi").and_then(|program| process::ask(&program, &["-L"]));
     lists.is_some_and(|list| list.contains("GPU "))

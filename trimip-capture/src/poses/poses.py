@@ -9,7 +9,7 @@ import pycolmap
 
 
 def made(names, **values):
-    """Returns an object of the first of these classes that exists, with those values set that it has; None if none exists."""
+    """Returns an object of the first of these classes that pycolmap has, and sets the values that this class has; None without a class."""
     for name in names:
         kind = getattr(pycolmap, name, None)
         if kind is None:
@@ -23,7 +23,7 @@ def made(names, **values):
 
 
 def call(function, *required, **optional):
-    """Calls a function with those optional arguments that the signature in the first line of its documentation names."""
+    """Calls a function. Passes only those optional arguments that the signature in the first line of its documentation names."""
     known = (function.__doc__ or "").split("->")[0]
     given = {key: value for key, value in optional.items() if value is not None and f"{key}:" in known}
     return function(*required, **given)
@@ -50,7 +50,7 @@ def features(o):
 
 
 def match(function, o, pairing):
-    """Calls a matcher. The options of its pairs are called `pairing_options` or `matching_options`, depending on the version."""
+    """Calls a matcher. Its argument for the options of the pairs is `pairing_options` or `matching_options`, depending on the version."""
     common = dict(use_gpu=o["gpu"], num_threads=o["threads"])
     later = hasattr(pycolmap, "FeatureMatchingOptions")
     call(
@@ -89,7 +89,7 @@ def pairs(o):
 
 
 def said(models):
-    """Reports in COLMAP's words that there is no model, which is not a failure of the program."""
+    """Prints COLMAP's message for no model, which the caller does not treat as a failure of the program."""
     if not models:
         print("failed to create sparse model", flush=True)
 
@@ -115,7 +115,7 @@ STAGES = {
     "global": global_,
 }
 
-# Log messages go to this process's output and not to files of their own.
+# Log messages go to this process's output instead of separate files.
 logging = getattr(pycolmap, "logging", None)
 for name in ["logtostderr", "alsologtostderr"]:
     if hasattr(logging, name):

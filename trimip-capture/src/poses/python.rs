@@ -1,4 +1,4 @@
-//! The Python package `pycolmap`, called by a script that is written next to the logs.
+//! The Python package `pycolmap`, which a script next to the logs calls.
 
 use crate::{
     decisions::{Cameras, Decisions, Pairs},
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use trimip::Result;
 use trimip_core::atomic::write_atomically;
 
-/// Names under which Python may be on the path.
+/// Names of the Python interpreter on the path, in the order in which they are tried.
 const NAMES: [&str; 10] = [
     "python3",
     "python",
@@ -25,7 +25,7 @@ const NAMES: [&str; 10] = [
     "py",
 ];
 
-/// Program that reports the version and abilities of the package.
+/// Python program that prints the version and abilities of the package.
 const QUESTION: &str = "import pycolmap\n\
                         print('pycolmap', pycolmap.__version__, bool(getattr(pycolmap, 'has_cuda', False)), \
                         hasattr(pycolmap, 'global_mapping'))";
@@ -45,7 +45,7 @@ pub struct Python {
 }
 
 impl Python {
-    /// The first Python interpreter on the path that has the package.
+    /// Finds the first Python interpreter on the path that has the package.
     pub fn find() -> Option<Self> {
         NAMES.iter().filter_map(|name| programs::find(name)).find_map(|program| {
             let answer = ask(&program, &["-c", QUESTION])?;
@@ -74,7 +74,7 @@ impl Python {
         Ok(call.with(["log/poses.py", stage, &options.to_string()]))
     }
 
-    /// The call that finds features.
+    /// Returns the call that finds features.
     pub fn features<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
         let mode = match by.cameras {
             Cameras::One => "SINGLE",
@@ -89,7 +89,7 @@ impl Python {
         self.call(folder, "features", "features", options)
     }
 
-    /// The call that compares pairs.
+    /// Returns the call that compares pairs.
     pub fn matches<'a>(&'a self, folder: &'a Folder, database: &str, by: &Decisions) -> Result<Call<'a>> {
         let mut options = common(database, by);
         let stage = match &by.pairs {
@@ -107,7 +107,7 @@ impl Python {
         self.call(folder, "matches", stage, options)
     }
 
-    /// The call that compares the pairs of a list.
+    /// Returns the call that compares the pairs of a list.
     pub fn loops<'a>(
         &'a self,
         folder: &'a Folder,
@@ -120,7 +120,7 @@ impl Python {
         self.call(folder, "loops", "pairs", options)
     }
 
-    /// The call that places cameras.
+    /// Returns the call that places cameras.
     pub fn model<'a>(&'a self, folder: &'a Folder, models: &str, by: &Decisions) -> Result<Call<'a>> {
         let mut options = common("database.db", by);
         options["images"] = "images".into();
@@ -131,7 +131,7 @@ impl Python {
 }
 
 fn common(database: &str, by: &Decisions) -> Value {
-    // pycolmap takes −1 for all.
+    // For all threads, pycolmap expects −1.
     let threads = if by.threads == 0 { -1 } else { i64::from(by.threads) };
     json!({ "database": database, "gpu": by.gpu, "threads": threads })
 }

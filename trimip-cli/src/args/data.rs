@@ -7,7 +7,7 @@ use std::path::PathBuf;
 /// Options of `data`.
 #[derive(Args, Debug)]
 pub struct DataArguments {
-    /// What to do with the data.
+    /// The action.
     #[command(subcommand)]
     pub action: DataAction,
 }
@@ -19,7 +19,7 @@ pub enum DataAction {
     Inspect {
         /// Folder of the scene, its transforms.json or its zip archive; overrides data.root
         root: Option<PathBuf>,
-        /// Also write a page, in one file: cameras and box from three sides, thumbnails, warnings and checks
+        /// Also write a page, as a single file: cameras and box from three sides, thumbnails, warnings and checks
         #[arg(long, value_name = "FILE", value_parser = ending("html"))]
         html: Option<PathBuf>,
         /// Settings.

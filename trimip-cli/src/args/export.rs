@@ -7,12 +7,12 @@ use std::path::PathBuf;
 /// Options of `export`.
 #[derive(Args, Debug)]
 pub struct ExportArguments {
-    /// What to write.
+    /// The form of the output.
     #[command(subcommand)]
     pub what: ExportWhat,
 }
 
-/// What `export` writes.
+/// The form of the output of `export`.
 #[derive(Subcommand, Debug)]
 pub enum ExportWhat {
     /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ or GLB
@@ -26,15 +26,15 @@ pub enum ExportWhat {
 pub struct WebArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// Folder [default: `web` next to the model]
+    /// Folder to write [default: `web` next to the model]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Folder with the WebAssembly program of the page, as tools/web.sh builds it
+    /// Folder with the WebAssembly program of the page, which tools/web.sh builds
     #[arg(long, value_name = "DIR", default_value = "target/web")]
     pub viewer: PathBuf,
     /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page shows the crop
-    /// or everything
+    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page toggles between
+    /// the crop and everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
 }
@@ -44,10 +44,10 @@ pub struct WebArguments {
 pub struct MeshArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// File; its name ends in .ply, .obj or .glb [default: mesh.ply next to the model]
+    /// File to write; its name ends in .ply, .obj or .glb [default: mesh.ply next to the model]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Cells of the grid along the longest side of the box
+    /// Number of grid cells along the longest side of the box
     #[arg(long, default_value_t = 512, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=2048))]
     pub resolution: u32,
     /// Density of the surface, per world unit [default: the density at which a marching step has an optical depth of 0.2]
@@ -59,7 +59,7 @@ pub struct MeshArguments {
     /// Simplify to about this many triangles; 0 = keep all
     #[arg(long, default_value_t = 100_000, value_name = "N")]
     pub triangles: usize,
-    /// Simplify as long as the surface moves by less than this share of the mesh's longest side, in place of --triangles
+    /// Simplify as long as the surface moves by less than this share of the mesh's longest side; replaces --triangles
     #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
     pub error: Option<f64>,
     /// Part of the scene to write, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper corner) or "ball
@@ -70,7 +70,7 @@ pub struct MeshArguments {
     #[arg(long, value_name = "N")]
     pub seen_by: Option<u32>,
     /// Write coordinates relative to data.origin, for programs with 32-bit coordinates; the file states the offset. By default, coordinates
-    /// are those of the photographs. The two differ if the photographs lie far from the origin of their coordinates
+    /// are those of the photographs. The two only differ if the photographs are far from the origin of their coordinates
     #[arg(long)]
     pub local: bool,
     /// Leave out the colours of the vertices

@@ -3,7 +3,7 @@
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
-/// When a run ends.
+/// End of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Schedule {
     /// After --seconds of training: equal time on this machine
@@ -47,10 +47,10 @@ pub struct PaperArguments {
     /// Seconds of training per run [default: 300]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub seconds: Option<f64>,
-    /// When a run ends
+    /// End of a run
     #[arg(long, value_enum, default_value_t)]
     pub schedule: Schedule,
-    /// Seeds of each system on each scene; their spread shows the random variation
+    /// Number of seeds of each system on each scene; their spread shows the random variation
     #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
     pub seeds: u32,
     /// Tables to make: the multi-scale one, the single-scale one, or both
@@ -65,11 +65,11 @@ pub struct PaperArguments {
     /// Configuration file (TOML) that overrides the settings of every system
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Override one setting of every system, or of the systems whose encoder has it; may be given many times
+    /// Override one setting of every system or, for a setting of an encoder, of the systems that have this encoder; may be given many times
     #[arg(long, value_name = "SECTION.KEY=VALUE")]
     pub set: Vec<String>,
-    /// Folder of paper.html, paper.json, paper.md, paper.tex and of the runs, SCENE/SYSTEM/SEED; the same command resumes an interrupted
-    /// one
+    /// Folder of paper.html, paper.json, paper.md, paper.tex and the runs (SCENE/SYSTEM/SEED); the same command resumes an interrupted
+    /// comparison
     #[arg(long, default_value = "runs/paper", value_name = "DIR")]
     pub out: PathBuf,
 }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 /// File format of rendered views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PictureFormat {
-    /// Colour as 8-bit sRGB, depth (the file stores its range) and opacity as 16-bit grey, one file each
+    /// Colour as 8-bit sRGB, depth and opacity as 16-bit grey, one file per quantity; the depth file stores its range
     Png,
     /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity
     Exr,
@@ -43,7 +43,7 @@ pub struct RenderArguments {
     /// Output folder [default: `renders` next to the model]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Test views by number, e.g. 0,25,50 (needs the data set) [default cameras: view 0]
+    /// Test views by number, e.g. 0,25,50 (needs the data set) [default camera: test view 0]
     #[arg(long, value_name = "N,..", value_delimiter = ',')]
     pub views: Vec<usize>,
     /// One camera-to-world matrix: 12 or 16 numbers in row-major order, or JSON, or a file with either
@@ -61,11 +61,11 @@ pub struct RenderArguments {
     /// A film of N cameras along the training cameras, without lens distortion (needs the run folder or the data set)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=100_000))]
     pub flythrough: Option<u32>,
-    /// Turntable: degrees above the horizon
-    // `requires` alone is waived if another camera option conflicts with the turntable.
+    /// With --turntable: degrees above the horizon
+    // `requires` by itself has no effect if another camera option conflicts with the turntable.
     #[arg(long, default_value_t = 30.0, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
     pub elevation: f64,
-    /// Turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
+    /// With --turntable: distance from the box's centre [default: the minimum at which every picture shows the whole box]
     #[arg(long, requires = "turntable", conflicts_with_all = ["views", "pose", "look_at", "path", "flythrough"], allow_hyphen_values = true)]
     pub distance: Option<f64>,
     /// Up direction in the picture, for --look-at and --turntable [default: scene.up of the model]
@@ -87,10 +87,10 @@ pub struct RenderArguments {
     /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
     #[arg(long, default_value_t = 1.0, allow_hyphen_values = true)]
     pub scale: f64,
-    /// One camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, with the original below
+    /// Render one camera at 1/1, 1/2, 1/4, 1/8 and 1/16 of the pixels in one picture, strip.png, with the original below
     #[arg(long, conflicts_with_all = ["format", "what", "crop"])]
     pub strip: bool,
-    /// Strip: another model, shown in its own row; may be given many times
+    /// With --strip: another model, shown in its own row; may be given many times
     #[arg(long, value_name = "RUN", requires = "strip")]
     pub against: Vec<PathBuf>,
     /// File format
@@ -105,13 +105,13 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
-    /// Path, turntable and flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm) with the program ffmpeg
+    /// With --path, --turntable or --flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm) with the program ffmpeg
     #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
     pub video: Option<PathBuf>,
-    /// Video: frames per second
+    /// With --video: frames per second
     #[arg(long, default_value_t = 30.0, requires = "video")]
     pub rate: f64,
-    /// Path, turntable and flythrough: render all views again; by default, the same command resumes an interrupted one
+    /// With --path, --turntable or --flythrough: render all views again; by default, the same command resumes an interrupted one
     #[arg(long)]
     pub fresh: bool,
     /// Override a setting of data, eval, renderer, hybrid, backend, threads or wgpu

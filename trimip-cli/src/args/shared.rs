@@ -9,7 +9,7 @@ use trimip_core::scene::origin::LocalOrigin;
 /// Sources of settings.
 #[derive(Args, Clone, Debug, Default)]
 pub struct SettingsArguments {
-    /// A system, by its name in `paper --list`; its settings override the defaults and yield to all others
+    /// A system, by its name in `paper --list`; its settings override the defaults, and all other settings override the system's
     #[arg(long, value_name = "NAME")]
     pub system: Option<String>,
     /// Configuration file (TOML); missing settings keep their defaults
@@ -31,7 +31,8 @@ pub struct SceneArguments {
     pub minutes: Option<f64>,
 }
 
-/// Parser for the name of a file to write. It refuses other extensions, so that a mistyped name does not overwrite a file of another kind.
+/// Returns a parser for the name of a file to write. It refuses other extensions, so that a mistyped name does not overwrite a file of
+/// another kind.
 pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> + Clone {
     move |name| {
         let path = PathBuf::from(name);
@@ -40,7 +41,7 @@ pub fn ending(ending: &'static str) -> impl Fn(&str) -> Result<PathBuf, String> 
     }
 }
 
-/// The crop that an option names.
+/// The crop that an option selects.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CropChoice {
     /// The model's crop, `scene.crop`.
@@ -50,7 +51,7 @@ pub enum CropChoice {
 }
 
 impl CropChoice {
-    /// The crop in the coordinates of a model with this configuration. A given crop is in the coordinates of the photographs.
+    /// Returns the crop in the coordinates of a model with this configuration. A given crop is in the coordinates of the photographs.
     pub fn of(self, config: &Config) -> Crop {
         match self {
             Self::Auto => config.scene.crop,
@@ -58,7 +59,8 @@ impl CropChoice {
         }
     }
 
-    /// Sets the crop in the configuration, where pages read it, unless the crop is none. True if a page should initially show the crop.
+    /// Sets the crop in the configuration, from which pages read it, unless the crop is none. Returns true if a page should initially show
+    /// the crop.
     pub fn opens(self, config: &mut Config) -> bool {
         let crop = self.of(config);
         let any = crop != Crop::None;

@@ -7,7 +7,7 @@ use trimip::Result;
 pub struct Finding {
     /// Part of the catalogue.
     pub part: &'static str,
-    /// The case.
+    /// Name of the case.
     pub case: String,
     /// The law that must hold.
     pub law: &'static str,
@@ -18,37 +18,37 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// True if the law holds; NaN violates every law.
+    /// Returns true if the law holds; NaN violates every law.
     pub fn holds(&self) -> bool {
         self.worst <= self.bound
     }
 }
 
-/// The largest of the errors; NaN if one of them is NaN.
+/// Returns the largest of the errors; NaN if one of them is NaN.
 pub fn worst(errors: impl IntoIterator<Item = f64>) -> f64 {
     errors.into_iter().fold(0.0, |most, error| if error.is_nan() || error > most { error } else { most })
 }
 
-/// |found − expected|.
+/// Returns |found − expected|.
 pub fn apart(found: impl Into<f64>, expected: f64) -> f64 {
     (found.into() - expected).abs()
 }
 
-/// |found − expected| / |expected|.
+/// Returns |found − expected| / |expected|.
 pub fn relative(found: impl Into<f64>, expected: f64) -> f64 {
     let found = found.into();
     if found == expected { 0.0 } else { (found - expected).abs() / expected.abs() }
 }
 
-/// Number of values that are not finite.
+/// Returns the number of values that are not finite.
 pub fn not_finite<'a>(values: impl IntoIterator<Item = &'a f32>) -> f64 {
     values.into_iter().filter(|value| !value.is_finite()).count() as f64
 }
 
-/// Creates a fresh backend for a case.
+/// Function that creates a fresh backend for a case.
 pub type Make<'a, B> = &'a dyn Fn() -> Result<B>;
 
-/// Receives every finding as soon as it is made.
+/// Function that receives every finding as soon as it is made.
 pub type Tell<'a> = &'a mut dyn FnMut(Finding);
 
 #[cfg(test)]

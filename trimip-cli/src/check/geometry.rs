@@ -26,7 +26,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Radii of zero, below zero and NaN select the finest level, huge radii the coarsest.
+/// Checks that radii of zero, below zero and NaN select the finest level, and huge radii the coarsest.
 fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut rig = Rig::new(make, &small())?;
     let at = |radius| Sphere { position: [0.3, 0.7, 0.51], radius };
@@ -60,7 +60,7 @@ fn spheres<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Rays in all directions, from outside, from inside, on faces and on edges.
+/// Returns rays in all directions, from outside, from inside, on faces and on edges.
 fn directions() -> Vec<Ray> {
     let s = 0.5_f32.sqrt();
     let t = 3_f32.sqrt().recip();
@@ -73,11 +73,11 @@ fn directions() -> Vec<Ray> {
         ray([-3.0, 3.0, 0.4], [s, -s, 0.0]),
         ray([0.0, 0.0, 0.0], [s, 0.0, s]),
         ray([1.49, 1.49, 1.49], [-t, -t, -t]),
-        // On a face, pointing outwards and along it; along an edge.
+        // On a face, pointing outwards; on a face, pointing along it; along an edge.
         ray([1.5, 0.0, 0.0], [1.0, 0.0, 0.0]),
         ray([1.5, 0.0, -4.0], [0.0, 0.0, 1.0]),
         ray([1.5, 1.5, -4.0], [0.0, 0.0, 1.0]),
-        // A tiny direction component; grazing a corner; missing the box; pointing away.
+        // A tiny direction component; grazing a corner; missing the box; pointing away from it; from very far.
         ray([-4.0, 0.3, 0.3], [1.0, 1e-30, -1e-38]),
         ray([-4.0, 1.4999, 0.0], [1.0, 0.0, 0.0]),
         ray([-4.0, 1.6, 0.0], [1.0, 0.0, 0.0]),
@@ -97,7 +97,7 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let (enter, leave) = aabb.intersect(ray.origin.map(f64::from), ray.direction.map(f64::from));
         (leave - enter).max(0.0)
     };
-    // At a distance of a million units, f32 resolves distances to 1/16.
+    // A million units away, f32 resolves distances to 1/16.
     let slack =
         |ray: &Ray| 1.0 + ray.origin.iter().fold(0.0_f64, |m, x| m.max(x.abs().into())) * 1.2e-7 / step;
     let errors = rays
@@ -126,7 +126,7 @@ fn rays<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Camera rays, compared with f64.
+/// Compares camera rays with those computed in f64.
 fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut rig = Rig::new(make, &small())?;
     let mut cases: Vec<(String, Intrinsics)> = [0.001_f64, 0.1, 40.0, 120.0, 179.0]
@@ -163,11 +163,11 @@ fn cameras<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Steps along the diagonal of a box: few enough to render a long box, enough to detect a lost position.
+/// Number of steps along the diagonal of a box: few enough to render a long box, enough to detect a wrong position.
 const STEPS: u32 = 2048;
 
-/// Boxes of all sizes and shapes, filled with one medium whose upper half along an axis is empty. A ray along the axis
-/// passes through half of the box.
+/// Checks boxes of all sizes and shapes, filled with one medium whose upper half along an axis is empty. A ray along
+/// the axis passes through the medium for half of the box's side.
 fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, centre, sides) in [
         ("a flat box, 1:1000", 0.0, [3.0, 3.0, 0.003]),
@@ -183,7 +183,7 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let step = f64::from(config.step_length());
         let (mut errors, mut strange) = (Vec::new(), 0.0);
         for axis in 0..3_usize {
-            // Optical depth 2 along the whole side, so that half the side is well measurable.
+            // An optical depth of 2 along the whole side, so that the depth along half of it can be measured well.
             let density = 2.0 / sides[axis];
             let mut trainer = LoadedModel::new(make()?, &medium(&config, density, axis))?;
             let mut along = DVec3::ZERO;
@@ -214,7 +214,7 @@ fn boxes<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// A model of constant density, occupied in the lower half along `axis`.
+/// Returns a model of constant density that is occupied in the lower half along `axis`.
 fn medium(config: &Config, density: f64, axis: usize) -> Model {
     let layout = Layout::new(config);
     let mut values = layout.initial(config);
@@ -225,7 +225,7 @@ fn medium(config: &Config, density: f64, axis: usize) -> Model {
         if slot.name == "planes" {
             part.fill(1.0);
         } else if slot.name == last {
-            // Density = exp(logit - 1) with hidden units of 1.
+            // Density = exp(logit - 1), where the hidden units are 1.
             part.iter_mut().step_by(slot.shape[1]).for_each(|w| *w = ((density.ln() + 1.0) / inputs) as f32);
         } else if slot.name.starts_with("density") {
             part.fill((1.0 / inputs) as f32);

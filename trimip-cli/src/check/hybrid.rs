@@ -1,5 +1,5 @@
-//! Hybrid rendering, compared with volume rendering of the same model: a ball of constant density σ = 1/e, in boxes whose size makes the
-//! ball thin fog or a solid.
+//! Hybrid rendering, compared with volume rendering of the same model: a ball of constant density σ = 1/e. Small boxes
+//! make the ball thin fog, large boxes make it solid.
 
 use super::finding::{Finding, Make, Tell, apart, worst};
 use super::rig::small;
@@ -17,7 +17,7 @@ const DENSITY: f64 = 0.367_879_441_171_442_33;
 /// Radius of the ball in boxes of half-width 1.
 const RADIUS: f64 = 0.7;
 
-/// A ball in a box of half-width `half`: cells whose centre lies in the ball are occupied.
+/// Returns a ball in a box of half-width `half`: cells whose centre lies in the ball are occupied.
 fn ball(half: f32) -> Model {
     let mut config = small();
     (config.scene.aabb_min, config.scene.aabb_max) = ([-half; 3], [half; 3]);
@@ -54,12 +54,12 @@ fn picture<B: Backend>(
     LoadedModel::new(make()?, &model)?.render(camera)
 }
 
-/// The largest difference in opacity.
+/// Returns the largest difference in opacity.
 fn difference(a: &Frame, b: &Frame) -> f64 {
     worst(a.pixels.iter().zip(&b.pixels).map(|(a, b)| apart(a.opacity, b.opacity.into())))
 }
 
-/// Number of pixels whose colour differs in any bit.
+/// Returns the number of pixels whose colour differs in any bit.
 fn changed(a: &Frame, b: &Frame) -> f64 {
     let differ = |(a, b): &(&trimip_core::Pixel, &trimip_core::Pixel)| {
         a.rgb.map(f32::to_bits) != b.rgb.map(f32::to_bits)
@@ -67,7 +67,7 @@ fn changed(a: &Frame, b: &Frame) -> f64 {
     a.pixels.iter().zip(&b.pixels).filter(differ).count() as f64
 }
 
-/// The largest difference in opacity that the rule of hybrid rendering and the step lengths of both renderers allow.
+/// Returns the largest difference in opacity that the rule of hybrid rendering and the step lengths of both renderers allow.
 fn bound(config: &Config) -> f64 {
     let hybrid = 2.0 * f64::from(config.scene.aabb_max[0]) / f64::from(config.hybrid.resolution);
     let steps = f64::from(config.hybrid.step) * hybrid + f64::from(config.step_length());
@@ -96,7 +96,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let volume = picture(make, &model, Volume, &far)?;
         let hybrid = picture(make, &model, Hybrid, &far)?;
         tell(found(name, "opacity as in volume rendering", difference(&hybrid, &volume), bound(&config)));
-        // Mean over all pixels, because errors at the silhouette have both signs.
+        // The mean over all pixels, because the errors at the silhouette have both signs.
         let mean = |frame: &Frame| {
             frame.pixels.iter().map(|p| f64::from(p.opacity)).sum::<f64>() / frame.pixels.len() as f64
         };
@@ -117,7 +117,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         let away = picture(make, &model, Hybrid, &look(8, 0.3, eye, 3.0 * eye))?;
         let lit = away.pixels.iter().filter(|p| p.rgb != config.data.background || p.opacity != 0.0).count();
         tell(found(&format!("{name}, looking away"), "pixels that are not the background", lit as f64, 0.0));
-        // The only pixel is wider than the ball.
+        // A picture of one pixel, which is wider than the ball.
         let wide = look(1, 0.9, eye, DVec3::ZERO);
         let (a, b) = (picture(make, &model, Hybrid, &wide)?, picture(make, &model, Volume, &wide)?);
         tell(found(

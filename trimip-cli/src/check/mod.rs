@@ -15,7 +15,7 @@ use trimip::{Backend, Result};
 
 /// Runs all cases on one backend.
 pub struct Catalogue<'a> {
-    /// Include the cases that take minutes.
+    /// True to include the cases that take minutes.
     pub long: bool,
     /// Receives every finding.
     pub tell: Tell<'a>,

@@ -1,4 +1,4 @@
-//! Numbers at the limits of their range: densities, gradients and hidden units that barely fit f32 or f16, or overflow.
+//! Numbers at the limits of their range: densities, gradients and hidden units that barely fit into f32 or f16, or overflow.
 
 use super::finding::{Finding, Make, Tell, not_finite, worst};
 use super::rig::{camera, hash, photographs, small};
@@ -21,7 +21,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Density logits of ±1e4: empty space and an opaque medium.
+/// Checks density logits of ±1e4: empty space and an opaque medium.
 fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
@@ -37,7 +37,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
             if slot.name == "planes" {
                 part.fill(1.0);
             } else if slot.name == last {
-                // Hidden units are 1, so their weighted sum is the logit.
+                // The hidden units are 1, so their weighted sum is the logit.
                 part.iter_mut().step_by(slot.shape[1]).for_each(|w| *w = logit / inputs);
             } else if slot.name.starts_with("density") {
                 part.fill(1.0 / inputs);
@@ -65,7 +65,7 @@ fn logits<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// The optimiser's update at gradients near the limits of f32, and at gradients whose squares overflow or underflow.
+/// Checks the optimiser's update at gradients near the limits of f32, and at gradients whose squares overflow or underflow.
 fn gradients() -> Vec<Finding> {
     let config = OptimizerConfig { weight_decay: 0.0, ..Config::default().optimizer };
     [1e-38_f32, 1e-30, 1e-20, 1e-8, 1.0, 1e8, 1e15, 1e19]
@@ -83,7 +83,7 @@ fn gradients() -> Vec<Finding> {
                     gradient.into(),
                 );
             }
-            // Twenty steps, each at most the learning rate. If squares underflow, epsilon takes their place.
+            // Twenty steps move a parameter by at most twenty learning rates. If squares underflow, epsilon dominates the denominator.
             let strange = not_finite(&[x, m, v]);
             let error = if strange > 0.0 { f64::NAN } else { (f64::from(x) - wide).abs() / (20.0 * rate) };
             found(
@@ -96,8 +96,9 @@ fn gradients() -> Vec<Finding> {
         .collect()
 }
 
-/// Texels of 1e-30 multiplied by weights of 1e30: the texels' gradients are about 1e30, those of the weights about 1e-30. A gradient whose
-/// second moment overflows leaves its parameter and its moments unchanged, and is counted.
+/// Multiplies texels of 1e-30 by weights of 1e30: the gradients of the texels are about 1e30, those of the weights
+/// about 1e-30. A gradient whose second moment overflows leaves its parameter and its moments unchanged, and is
+/// counted.
 fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let layout = Layout::new(&config);
@@ -138,14 +139,14 @@ fn steep<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Activations that overflow f16. In any precision, the picture matches f32 up to the rounding of the factors. A
-/// backend that meets such values in f16 continues in f32.
+/// Checks activations that overflow f16. In any precision, the picture matches the picture in f32 up to the rounding of
+/// the factors. A backend that meets such values in f16 continues in f32.
 fn beyond_half<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let layout = Layout::new(&small());
     let picture = |precision| -> Result<Frame> {
         let mut config = small();
         config.field.precision = precision;
-        // A negligible learning rate: the steps only count overflows.
+        // The learning rate is negligible: the steps only count overflows.
         config.optimizer.learning_rate = 1e-20;
         let views = photographs(&[camera(16, 0), camera(16, 1)], 1, hash);
         let view = views.views[0].camera;

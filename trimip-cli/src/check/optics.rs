@@ -1,5 +1,4 @@
-//! Stiff optics: samples from nearly transparent to opaque, one to a hundred thousand per ray. x = σδ is the optical
-//! depth.
+//! Stiff optics: rays of one to a hundred thousand samples, from nearly transparent to opaque. x = σδ is the optical depth.
 
 use super::finding::{Finding, Make, Tell, apart, relative, worst};
 use super::rig::{Rig, small};
@@ -10,10 +9,10 @@ use trimip_core::{Backend, Result};
 /// Length of a sample in these cases: a typical step.
 const LENGTH: f32 = 1.0 / 256.0;
 
-/// Tolerance of several f32 roundings.
+/// Tolerance for several f32 roundings.
 const ROUNDING: f64 = 1e-6;
 
-/// Tolerance of a driver's exp and a seven-term series, relative to the exact exp_m1.
+/// Tolerance for a driver's exp and a seven-term series, relative to the exact exp_m1.
 const EXPONENTIAL: f64 = 5e-6;
 
 type Sample = (Interval, Radiance);
@@ -23,7 +22,7 @@ fn sample(i: usize, depth: f64, rgb: [f32; 3]) -> Sample {
     (interval, Radiance { rgb, density: (depth / f64::from(LENGTH)) as f32 })
 }
 
-/// Optical depth of a sample, from its f32 values.
+/// Returns the optical depth of a sample, computed from its f32 values.
 fn depth((interval, radiance): &Sample) -> f64 {
     f64::from(interval.length) * f64::from(radiance.density)
 }
@@ -34,7 +33,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let found =
         |case: &str, law, worst, bound| Finding { part: "optics", case: case.into(), law, worst, bound };
 
-    // One sample per ray, over all optical depths.
+    // One sample per ray, with optical depths from 1e-12 to 1e12.
     let thin: Vec<Vec<Sample>> =
         (-48..=48).map(|quarter| vec![sample(0, 10_f64.powf(f64::from(quarter) / 4.0), [1.0; 3])]).collect();
     let (pixels, gradients) = rig.composite(&thin, [1.0, 1.0, 1.0, 0.0]);
@@ -51,7 +50,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         worst(pixels.iter().map(|p| (f64::from(p.opacity) - 1.0).max(-f64::from(p.opacity)))),
         0.0,
     ));
-    // White in front of white: no density changes the pixel. In front of black, the derivative is e^-x times the length.
+    // White in front of white: no density changes the pixel. In front of black, the derivative with respect to density
+    // is e^-x times the length.
     let background = small().data.background.map(f64::from);
     let expected = |ray: &Vec<Sample>| {
         let x = depth(&ray[0]);
@@ -67,7 +67,7 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
         4.0 * ROUNDING,
     ));
 
-    // Many samples of one medium, with a total depth of 1 for any subdivision.
+    // Many samples of one medium; the total depth is 1 for any number of samples.
     for count in [1_usize, 10, 1000, rig.backend.longest_ray().min(100_000)] {
         let ray: Vec<Sample> = (0..count).map(|i| sample(i, 1.0 / count as f64, [0.25, 0.5, 1.0])).collect();
         let total: f64 = ray.iter().map(depth).sum();

@@ -1,4 +1,4 @@
-//! A backend with the stages of a small configuration, and synthetic photographs for a case.
+//! A backend with the stages for a small configuration, and synthetic photographs for a case.
 
 use super::finding::Make;
 use glam::DVec3;
@@ -9,7 +9,7 @@ use trimip_core::{
     ViewSet,
 };
 
-/// A small model: 16² planes, 16 hidden units.
+/// Returns the configuration of a small model: 16² planes, 16 hidden units.
 pub fn small() -> Config {
     let mut config = Config::default();
     (config.encoder.plane_size, config.encoder.levels) = (16, 4);
@@ -46,12 +46,12 @@ impl<B: Backend> Rig<B> {
         Ok(Self { backend, stages, workspace, parameters })
     }
 
-    /// Uploads the rays of the tile.
+    /// Uploads rays as those of the tile.
     pub fn rays(&mut self, rays: &[Ray]) {
         self.workspace.rays.place(&self.backend, rays);
     }
 
-    /// Composites rays of given samples, and backpropagates the gradient `by_pixel` of every pixel to the samples.
+    /// Composites rays with the given samples, and backpropagates the gradient `by_pixel` of every pixel to the samples.
     pub fn composite(
         &mut self,
         rays: &[Vec<(Interval, Radiance)>],
@@ -104,7 +104,7 @@ impl<B: Backend> Rig<B> {
         (distances, backend.read(&workspace.samples.spheres))
     }
 
-    /// Features of spheres, 48 per sphere.
+    /// Returns the features of spheres, 48 per sphere.
     pub fn features(&mut self, spheres: &[Sphere]) -> Vec<f32> {
         let count = spheres.len() as u32;
         let Self { backend, stages, workspace, parameters } = self;
@@ -122,14 +122,14 @@ impl<B: Backend> Rig<B> {
     }
 }
 
-/// A square camera of `size` pixels on a circle around the box.
+/// Returns a square camera of `size` pixels per side on a circle around the box.
 pub fn camera(size: u32, i: u32) -> Camera {
     let angle = f64::from(i);
     let origin = DVec3::new(4.0 * angle.cos(), 4.0 * angle.sin(), 1.0);
     Camera::look_at(Intrinsics::from_angle(size, size, 0.7), origin, DVec3::ZERO, DVec3::Z)
 }
 
-/// A pseudo-random colour.
+/// Returns a pseudo-random colour.
 pub fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
     let mut word = (view * 7919 + x * 104_729 + y * 1_299_709 + 17) as u32;
     word = (word ^ (word >> 15)).wrapping_mul(0x2c1b_3c6d);
@@ -137,7 +137,7 @@ pub fn hash(view: usize, x: usize, y: usize) -> [u8; 4] {
     (word ^ (word >> 15)).to_le_bytes()
 }
 
-/// Photographs of `cameras` at `scales` scales; `pixel(view, x, y)` gives straight RGBA at every scale.
+/// Returns photographs of `cameras` at `scales` scales; `pixel(view, x, y)` returns straight RGBA at every scale.
 pub fn photographs(
     cameras: &[Camera],
     scales: u32,

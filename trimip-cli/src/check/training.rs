@@ -23,8 +23,8 @@ pub fn cases<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Trains `steps` steps. Returns the number of values that are not finite in parameters, loss and a picture, and the
-/// distance of the picture's colours from [0, 1].
+/// Trains `steps` steps. Returns the number of values that are not finite in the parameters, the loss and a picture,
+/// and the distance of the picture's colours from the range [0, 1].
 fn train<B: Backend>(make: Make<'_, B>, config: &Config, views: ViewSet, steps: u64) -> Result<[f64; 2]> {
     let camera = views.views[0].camera;
     let mut trainer = Trainer::new(make()?, config, views)?;
@@ -43,7 +43,7 @@ fn train<B: Backend>(make: Make<'_, B>, config: &Config, views: ViewSet, steps: 
 fn told(case: &str, [strange, beyond]: [f64; 2]) -> [Finding; 2] {
     [
         found(case, "loss, parameters and pictures stay finite", strange, 0.0),
-        // Weighted mean of colours in [0, 1] and a background in [0, 1].
+        // A pixel is a weighted mean of colours in [0, 1] and a background in [0, 1].
         found(case, "colours stay within 0 and 1", beyond, 2e-6),
     ]
 }
@@ -81,7 +81,7 @@ fn rates_and_weights<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()
     let mut cold = small();
     cold.optimizer.learning_rate = 1e-12;
     told("learning rates of 1e-12", train(make, &cold, views(), 8)?).into_iter().for_each(&mut *tell);
-    // One ray may fill the whole batch: a long box with many steps, and few samples per step.
+    // One ray may have more samples than a whole batch: a long box with many steps, and few samples per training step.
     let mut one = small();
     (one.renderer.steps_per_diagonal, one.train.samples_per_step) = (4096, 256);
     told("a ray with more samples than a step", train(make, &one, views(), 12)?)
@@ -90,8 +90,8 @@ fn rates_and_weights<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()
     Ok(())
 }
 
-/// Texels without a gradient. With "skip" they stay bit-identical. With "decay" they shrink by the documented factor,
-/// even with an epsilon of 1e-15 and moments of zero.
+/// Checks texels without a gradient. With "skip" they stay bit-identical. With "decay" they shrink by the documented
+/// factor, even with an epsilon of 1e-15 and moments of zero.
 fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     for (name, way) in [("skip", Untouched::Skip), ("decay", Untouched::Decay)] {
         let mut config = small();
@@ -139,7 +139,7 @@ fn untouched<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     Ok(())
 }
 
-/// A batch without samples changes no parameter and is counted. An empty grid is filled by its next refresh.
+/// Checks that a batch without samples changes no parameter and is counted, and that an empty grid is filled by its next refresh.
 fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let config = small();
     let away = Camera::look_at(
@@ -194,8 +194,8 @@ fn empty<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
 /// Number of steps of a long run.
 const LONG: u64 = 100_000;
 
-/// A run of a hundred thousand steps on a small scene: it learns and does not regress, all numbers stay in range, the
-/// schedule ends at its configured values, and memory does not grow.
+/// Checks a run of a hundred thousand steps on a small scene: it learns and does not regress, all numbers stay in
+/// range, the schedule ends at its configured values, and memory does not grow.
 pub fn long<B: Backend>(make: Make<'_, B>, tell: Tell<'_>) -> Result<()> {
     let mut config = small();
     config.train.steps = LONG;

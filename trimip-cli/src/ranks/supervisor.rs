@@ -1,6 +1,6 @@
 //! The guard of a rank. The process that a launcher starts for a rank starts this program once more, and that second process is the rank.
 //! If the rank is killed, because memory ran out or a library crashed, its guard reports that like any other error; a launcher would only
-//! end with 128 + the signal. A pipe connects the two: a byte in it asks the rank to stop, its end ends the rank.
+//! end with 128 + the signal. A pipe connects guard and rank: a byte in the pipe asks the rank to stop, and its closing ends the rank.
 
 use crate::{interrupt, terminal};
 use std::io::{Read, Write};
@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use trimip_core::{Error, Result};
 
-/// Environment variable that is set for a rank.
+/// Environment variable that is set in the process of a rank.
 const GUARDED: &str = "TRIMIP_RANK_IS_GUARDED";
 
 /// Exit code of a rank that was killed.
@@ -20,7 +20,7 @@ const KILLED: u8 = 3;
 enum End {
     /// The rank ended with this exit code.
     Code(u8),
-    /// A signal that asks to stop ended the rank before the rank could react.
+    /// A signal that requests a stop ended the rank before the rank could react.
     Stopped,
     /// Another signal or a crash ended the rank.
     Killed,
@@ -40,7 +40,7 @@ impl End {
     }
 }
 
-/// True in a rank; false in its guard.
+/// Returns true in a rank, and false in its guard.
 pub fn is_there() -> bool {
     std::env::var_os(GUARDED).is_some()
 }
@@ -60,7 +60,7 @@ pub fn watch() -> Result<u8> {
             }
         }
     };
-    // Some launchers signal all processes of a rank, others only the guard.
+    // Some launchers send a signal to all processes of a rank, others only to the guard.
     let signalled = interrupt::outlive(ask.clone())?;
     let cannot = |error| Error::device(format!("cannot start the process of a rank: {error}"));
     let mut process = std::env::current_exe()
@@ -81,7 +81,7 @@ pub fn watch() -> Result<u8> {
     Ok(match End::of(status) {
         End::Code(code) => code,
         End::Stopped => interrupt::EXIT_CODE,
-        // A launcher that has asked a rank to stop kills the rank after a while.
+        // After asking a rank to stop, a launcher waits for a while and then kills the rank.
         End::Killed if signalled.load(Ordering::SeqCst) => {
             terminal::aside(format!("warning: rank {rank} was killed while it stopped ({status})"));
             KILLED
@@ -96,8 +96,8 @@ pub fn watch() -> Result<u8> {
     })
 }
 
-/// Stops this rank when its guard sends a byte, and ends it when the guard is gone: a launcher only kills the guard, the process that it
-/// started.
+/// Stops this rank when its guard sends a byte, and kills it when the guard is gone. This is needed because a launcher kills only the
+/// process that it started, which is the guard.
 ///
 /// # Errors
 /// When no thread can be started.

@@ -1,4 +1,4 @@
-//! `bake`: computes the proxy of a model and writes it to the model file. Hybrid rendering with the proxy then becomes the default.
+//! `bake`: computes the proxy of a model and writes it to the model file. After that, the default is hybrid rendering with the proxy.
 
 use crate::{args::BakeArguments, interrupt, progress::bar, terminal};
 use std::sync::atomic::Ordering;
@@ -23,7 +23,7 @@ pub fn run(arguments: &BakeArguments) -> Result<u8> {
             "train to the end first, or name a model file",
         ));
     }
-    // A run that trains meanwhile would have its model overwritten.
+    // Without the lock, this command could overwrite the model of a run that trains in the folder.
     let _held = folder.filter(|_| arguments.out.is_none()).map(|folder| folder.lock()).transpose()?;
     let mut model = Model::read(&path)?;
     settings::override_model(&mut model, &arguments.set)?;

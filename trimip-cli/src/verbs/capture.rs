@@ -1,4 +1,5 @@
-//! `capture`: makes a scene from a film or from photographs without cameras; with `--train`, also a model of it, a film and a page.
+//! `capture`: makes a scene from a film or from photographs without cameras. With `--train`, also trains a model and
+//! writes a film and a page.
 
 use super::{export, render, train};
 use crate::{
@@ -11,14 +12,14 @@ use std::path::Path;
 use trimip::{Error, Result, backends};
 use trimip_capture::{Captured, Event, programs, quoted, quoted_path};
 
-/// Number of frames of the film, and their longest side in pixels.
+/// Number of frames of the film, and longest side of these frames in pixels.
 const FRAMES: u32 = 120;
 const LONGEST: u32 = 640;
 
-/// The page's program, as built by `tools/web.sh`.
+/// Path of the page's program, which `tools/web.sh` builds.
 const PAGE: &str = "target/web/trimip_web.js";
 
-/// Captures and, with `--train`, trains on the scene.
+/// Makes the capture and, with `--train`, trains on the scene.
 pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     if let Some(minutes) = arguments.minutes.filter(|minutes| !(minutes.is_finite() && *minutes > 0.0)) {
         return Err(Error::input(
@@ -65,7 +66,7 @@ pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     show(&captured)
 }
 
-/// Writes a film along the cameras and a page of the trained model, if the programs that these need are there.
+/// Writes a film along the cameras and a page of the trained model, if the programs that they need are installed.
 fn show(captured: &Captured) -> Result<u8> {
     let run = settings::default_folder(None, Some(&captured.root), None);
     let (run_name, film) = (path_of(&run), path_of(&run.join("flythrough.mp4")));
@@ -107,7 +108,7 @@ fn command(words: &[String]) -> Result<u8> {
     }
 }
 
-/// A path as an argument that cannot be read as an option.
+/// Returns a path as an argument that cannot be read as an option.
 fn path_of(path: &Path) -> String {
     let plain = path.display().to_string();
     if plain.starts_with('-') { format!("./{plain}") } else { plain }

@@ -6,7 +6,7 @@ use serde_json::json;
 use trimip::{Error, Result, backends};
 use trimip_core::atomic::write_atomically;
 
-/// Prints a line for every case; exit code 1 when a law is broken.
+/// Prints a line for every case; the exit code is 1 if a law is violated.
 pub fn run(arguments: &CheckArguments) -> Result<u8> {
     let mut all: Vec<(String, Finding)> = Vec::new();
     for name in &arguments.backend {
@@ -22,7 +22,7 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
         terminal::line(row(["part", "backend", "case", "law"], &format!("{worst:>10} {bound:>10}")));
     }
     for name in &chosen {
-        // Cases take seconds each on a software adapter; the spinner shows that the program works.
+        // Each case takes seconds on a software adapter; the spinner shows that the program works.
         let bar = spinner();
         bar.set_message(name.clone());
         let mut tell = |finding: Finding| {
@@ -74,7 +74,7 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
     }
 }
 
-/// A line of the table for output that is not a terminal; it is wider than any terminal.
+/// Formats a line of the table for output that is not a terminal; the line is wider than any terminal.
 fn row([part, backend, case, law]: [&str; 4], numbers: &str) -> String {
     format!("{part:<9} {backend:<8} {case:<46} {law:<62} {numbers}")
 }

@@ -46,7 +46,7 @@ pub fn run(arguments: &CompareArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// The HTML page.
+/// Returns the HTML page.
 fn html(curves: &[Curve], lines: &[Line], reach: &[f64]) -> Result<String> {
     let entries: Vec<Entry> = curves
         .iter()

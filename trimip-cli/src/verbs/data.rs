@@ -1,4 +1,4 @@
-//! `data`: inspect a data set, write it at several scales, write the built-in scene.
+//! `data`: inspects a data set, writes it at several scales, or writes the built-in scene.
 
 use crate::{
     args::{DataAction, DataArguments, SettingsArguments},
@@ -39,7 +39,7 @@ pub fn run(arguments: &DataArguments) -> Result<u8> {
 fn with_root(arguments: &SettingsArguments, root: Option<&Path>) -> Result<(Settings, Config)> {
     let (mut given, _) = settings::load(arguments)?;
     if let Some(root) = root {
-        // A missing folder is reported when it is opened, because here it cannot be a mistyped verb.
+        // If the folder is missing, opening it reports the error, because this argument cannot be a mistyped verb.
         let root = match root.exists() {
             true => settings::scene_root(root)?,
             false => root.display().to_string(),

@@ -34,7 +34,7 @@ pub fn run() -> Result<u8> {
     Ok(0)
 }
 
-/// The metrics of this build, and how to add those that it lacks.
+/// Returns the metrics of this build, and how to add those that it lacks.
 fn measures() -> String {
     let flip = if cfg!(feature = "flip") {
         "FLIP"

@@ -1,4 +1,4 @@
-//! `eval`: measures of a model per scale on its test set.
+//! `eval`: measures a model per scale on its test set.
 
 use crate::{args::EvalArguments, interrupt, measures::table, progress::bar, ranks, terminal};
 use indicatif::ProgressBar;
@@ -14,7 +14,7 @@ use trimip_core::{
     atomic::write_atomically, engine::exchange::Ranks, measures::quality::Remedy, run::evaluate::ViewResult,
 };
 
-/// Evaluates a model; exit code 1 if it misses `eval.min_psnr`.
+/// Evaluates a model; the exit code is 1 if it misses `eval.min_psnr`.
 pub fn run(arguments: &EvalArguments) -> Result<u8> {
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
@@ -67,7 +67,7 @@ pub fn run(arguments: &EvalArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Does this rank's part of [`run`], on ranks other than 0.
+/// Does this rank's part of [`run`]; called on ranks other than 0.
 ///
 /// # Errors
 /// When the model or its test set cannot be opened on this machine.
@@ -84,7 +84,7 @@ pub fn work(arguments: &EvalArguments, ranks: &dyn Ranks) -> Result<()> {
     evaluate_on_worker(viewer.as_mut(), test, &mut perceptual, &mut watch, group)
 }
 
-/// Stops rendering after the user's interrupt.
+/// Stops rendering after the user pressed Ctrl-C.
 struct Interrupted(Arc<AtomicBool>);
 
 impl Watching for Interrupted {
@@ -93,7 +93,7 @@ impl Watching for Interrupted {
     }
 }
 
-/// Advances a bar with the rendered rows and stops after the user's interrupt.
+/// Advances a bar with the rendered rows and stops after the user pressed Ctrl-C.
 struct OnBar<'a> {
     bar: &'a ProgressBar,
     stop: &'a AtomicBool,

@@ -19,7 +19,7 @@ use trimip_core::scene::origin::LocalOrigin;
 /// Number of steps of the bar.
 const BAR: u64 = 1000;
 
-/// Exports what the arguments select.
+/// Writes the form that the arguments select.
 pub fn run(arguments: &ExportArguments) -> Result<u8> {
     match &arguments.what {
         ExportWhat::Mesh(arguments) => export_mesh(arguments),
@@ -35,7 +35,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     settings::override_model(&mut model, &arguments.set)?;
     backends::check(&model.config.backend)?;
     let origin = LocalOrigin::of(&model.config.data);
-    // The data set is opened first, so that its absence is reported before the work.
+    // The data set is opened first, so that a missing one is reported before the work begins.
     let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
         Err(error) if arguments.silhouettes.is_some() => return Err(error),
@@ -110,13 +110,13 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// `mesh.ply` in the run folder, or next to the model file.
+/// Returns the path of `mesh.ply` in the run folder, or next to the model file.
 fn beside(model: &std::path::Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or("".as_ref()) };
     folder.join("mesh.ply")
 }
 
-/// Describes what was extracted, and how.
+/// Describes the extracted mesh and the extraction.
 fn describe(extracted: &Extracted, crop: Crop, seconds: f64) -> Vec<String> {
     let Extracted { mesh, level, spacing, removed, unseen, triangles } = extracted;
     let defects = mesh.defects();

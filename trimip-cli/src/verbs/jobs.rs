@@ -12,7 +12,7 @@ use trimip_data::settings::DataConfig;
 /// How a job ended.
 #[derive(Serialize, Deserialize)]
 pub enum JobEnd {
-    /// The run is trained, on these photographs; `None` if it was trained already.
+    /// The run is trained; the fingerprint is that of its photographs, `None` if the run was trained already.
     Trained(Option<Fingerprint>),
     /// The user stopped the run.
     Stopped,
@@ -20,7 +20,7 @@ pub enum JobEnd {
     Failed(String),
 }
 
-/// Trains silently, as one job of several; the other ranks of this machine train their own jobs at the same time.
+/// Trains silently, as one job of several. The other ranks of this machine train their own jobs at the same time.
 pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
     let quietly = |training: Training| {
         let stop = interrupt::install()?;
@@ -39,8 +39,9 @@ pub fn job(ranks: &dyn Ranks, training: Result<Training>) -> JobEnd {
     }
 }
 
-/// Trains runs on all ranks, called on rank 0: each free rank takes the next run. A run that fails is left unfinished, for the caller to
-/// find. `what` describes the runs, `data` gives the data set of a run. Returns false if the user stopped it on any rank.
+/// Trains runs on all ranks: each free rank takes the next run. Called on rank 0. A run that fails stays unfinished,
+/// and the caller finds it later. `what` describes the runs, `data` returns the data set of a run. Returns false if the
+/// user stopped it on any rank.
 ///
 /// # Errors
 /// When another rank is gone, or two runs on one data set used different photographs.
@@ -73,7 +74,7 @@ pub fn spread(
                     expect_one(&seen)?;
                 }
                 JobEnd::Failed(reason) => told(format!("failed: {reason}")),
-                // No more jobs are handed out: a rank whose user stopped it would end each of them at once.
+                // No more jobs are handed out, because a rank that the user stopped would end each of them at once.
                 JobEnd::Stopped => whole = false,
             }
             Ok(whole && going())
@@ -85,12 +86,12 @@ pub fn spread(
 /// The data that a run was trained on.
 struct RunData {
     folder: PathBuf,
-    /// The settings of its data set.
+    /// Settings of the data set.
     data: String,
     views: Fingerprint,
 }
 
-/// Refuses the last of these runs if an earlier one on the same data set used other photographs.
+/// Refuses the last of these runs if an earlier one on the same data set used different photographs.
 fn expect_one(seen: &[RunData]) -> Result<()> {
     let Some((last, earlier)) = seen.split_last() else { return Ok(()) };
     let same = earlier.iter().filter(|run| run.data == last.data);

@@ -32,7 +32,7 @@ nothing to train on; type one of
   trimip-cli --config configs/quickstart.toml   the built-in scene, nothing to download
   trimip-cli --help                             every verb and option";
 
-/// Does this rank's part of a verb's jobs, on ranks other than 0.
+/// Does this rank's part of a verb's jobs; called on ranks other than 0.
 ///
 /// # Errors
 /// When the verb has no jobs, or its jobs fail.

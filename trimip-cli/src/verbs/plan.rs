@@ -1,6 +1,6 @@
-//! `plan`: lists the parts that a scene does not need, and why. With `--measure`, it also measures what leaving them out costs in dB and
-//! saves in seconds and bytes. Each run adds one decision to the previous ones, with equally many samples, and is measured on held-out
-//! training views.
+//! `plan`: lists the parts that a scene does not need, with reasons. With `--measure`, it also measures what leaving them out costs in dB
+//! and saves in seconds and bytes. Each run adds one decision to those of the previous run, trains on equally many samples, and is measured
+//! on held-out training views.
 
 use crate::args::PlanArguments;
 use crate::curves::aligned;
@@ -19,10 +19,10 @@ use trimip_core::{Config, Error, Result, ViewSet, atomic::write_atomically};
 /// Number of held-out training views that are measured.
 const KEPT_BACK: usize = 4;
 
-/// The decision that needs a training run: whether the colour network can do without directions.
+/// The decision that needs a training run: whether the colour network needs directions.
 const BLIND: &str = "directions";
 
-/// Change of PSNR in dB that is inconclusive for directions even if the seeds agree.
+/// For directions, a change of PSNR up to this, in dB, is inconclusive even if the seeds agree.
 const CHANCE: f64 = 0.05;
 
 /// Prints a line per decision and, with `--measure`, measures them.
@@ -59,7 +59,7 @@ pub fn run(arguments: &PlanArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Does this rank's part of the runs of [`run`], on ranks other than 0.
+/// Does this rank's part of the runs of [`run`]; called on ranks other than 0.
 ///
 /// # Errors
 /// When the scene cannot be opened on this machine.
@@ -98,8 +98,8 @@ impl Planned {
     }
 }
 
-/// The runs to compare: brief, with equally many samples, evaluated at their end on held-out training views. The first leaves nothing out;
-/// each further run leaves out one more part.
+/// Returns the runs to compare: brief, with equally many samples, evaluated at their end on held-out training views. The first run leaves
+/// nothing out; each further run leaves out one more part.
 fn bench(
     arguments: &PlanArguments,
     planned: &Config,
@@ -132,7 +132,7 @@ fn bench(
         .with("eval.min_psnr", 0)?;
     let mut taken: Vec<&str> =
         findings.iter().filter(|f| f.left_out && f.decision != BLIND).map(|f| f.decision.as_str()).collect();
-    // The data cannot show whether directions are needed; training can.
+    // The data cannot show whether directions are needed; a training run can.
     taken.extend(findings.iter().find(|f| f.decision == BLIND && f.choice != PlanChoice::Off).map(|_| BLIND));
     let forced = |key: &str| findings.iter().any(|f| f.decision == key && f.choice == PlanChoice::On);
     let variant = |count: usize| {
@@ -153,22 +153,22 @@ fn bench(
     })
 }
 
-/// Cost and savings of a further decision.
+/// Cost and savings of one more decision.
 #[derive(Debug, Serialize)]
 struct Effect {
     plan: String,
     psnr: f64,
-    /// Change from the previous run, dB.
+    /// Change of PSNR from the previous run, dB.
     psnr_change: f64,
-    /// Spread between seeds, the larger of the two compared runs, dB.
+    /// Spread of PSNR between seeds in dB, the larger one of the two compared runs.
     psnr_spread: f64,
     seconds: f64,
-    /// Time as a fraction of the first run's.
+    /// Time divided by the first run's time.
     seconds_share: f64,
     model_bytes: f64,
 }
 
-/// The effects of the runs, in order.
+/// Returns the effects of the runs, in order.
 fn effects(rows: &[VariantRow]) -> Vec<Effect> {
     rows.iter()
         .enumerate()
@@ -189,7 +189,7 @@ fn effects(rows: &[VariantRow]) -> Vec<Effect> {
 
 /// Conclusion about the directions.
 struct Verdict {
-    /// `None` if the change is not larger than the spread between seeds.
+    /// Whether directions are needed; `None` if the change is not larger than the spread between seeds.
     needed: Option<bool>,
     text: String,
 }

@@ -20,7 +20,7 @@ use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
 use trimip::{Camera, Config, Crop, Error, Result, Viewer, backends, model::Model, settings, view};
 use trimip_core::{engine::exchange::Ranks, scene::origin::LocalOrigin};
 
-/// Refuses the folder of a run, whose file of the photographs' cameras has the same name as the file of the pictures' cameras.
+/// Refuses the folder of a run: the files with the cameras of its photographs and of the rendered pictures have the same name.
 fn expect_no_run(out: &Path) -> Result<()> {
     let folder = RunFolder::new(out);
     match folder.is_ours() {
@@ -54,7 +54,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     expect_no_run(out)?;
     view::expect_no_others(out, cameras, what, *format)?;
     run_folder::create_writable(out)?;
-    // A film's job records its finished views, so that an interrupted command can be resumed. Single views are quick and have no job.
+    // For a film, a job records the finished views, so that an interrupted command can be resumed. Single views are fast and have no job.
     let mut job = match is_film(arguments) {
         true => Some(RenderJob::open(out, model, cameras, what, *format, arguments.fresh)?),
         false => None,
@@ -94,7 +94,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         Ok(!stop.load(Ordering::Relaxed))
     };
     match ranks::all() {
-        // The jobs of other ranks are indices of views.
+        // The other ranks receive their jobs as indices of views.
         Some(all) => {
             scatter_jobs(&*all, &request.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?
         }
@@ -128,7 +128,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     Ok(0)
 }
 
-/// Does this rank's part of [`run`], on ranks other than 0.
+/// Does this rank's part of [`run`]; called on ranks other than 0.
 ///
 /// # Errors
 /// When the model cannot be opened on this machine.
@@ -141,12 +141,12 @@ pub fn work(arguments: &RenderArguments, ranks: &dyn Ranks) -> Result<()> {
     work_on_jobs(ranks, &request.digest()?, |view| request.draw(session.as_mut(), view, &mut going))
 }
 
-/// The crop of the pictures, as a list; empty if there is none.
+/// Returns the crop of the pictures as a list; empty if there is none.
 fn parts(config: &Config) -> Vec<Crop> {
     Some(config.scene.crop).filter(|crop| *crop != Crop::None).into_iter().collect()
 }
 
-/// What to render, and how.
+/// The views to render, and the quantities and format of their pictures.
 struct RenderRequest {
     model: Model,
     cameras: Vec<Named>,
@@ -177,7 +177,7 @@ impl RenderRequest {
         }
         let mut model = run_folder::read_model(&arguments.model)?;
         settings::override_model(&mut model, &arguments.set)?;
-        // The crop is part of the job: pictures of another crop are rendered again.
+        // The crop is part of the job, so pictures with a different crop are rendered again.
         model.config.scene.crop = arguments.crop.of(&model.config);
         backends::check(&model.config.backend)?;
         let cameras = resize(chosen(arguments, &model.config)?, arguments.scale)?;
@@ -185,7 +185,7 @@ impl RenderRequest {
         Ok(Self { model, cameras, what, format, out })
     }
 
-    /// A digest that is equal on all ranks with the same work.
+    /// Returns a digest that is equal on all ranks with the same work.
     fn digest(&self) -> Result<String> {
         let Self { model, cameras, what, format, out } = self;
         Ok(digest([model.hash()?.to_string(), format!("{cameras:?} {what:?} {format:?} {out:?}")]))
@@ -235,7 +235,7 @@ fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], came
     video::check(path)
 }
 
-/// Summarises the rendering speed of the views, without the time of writing files.
+/// Summarises the rendering speed of the views, without the time for writing files.
 fn speed(mut seconds: Vec<f64>) -> Option<String> {
     seconds.sort_by(f64::total_cmp);
     let median = *seconds.get(seconds.len() / 2)?;

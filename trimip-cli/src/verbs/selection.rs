@@ -11,21 +11,21 @@ use trimip_core::scene::origin::LocalOrigin;
 /// Default width and height of pictures, pixels.
 const SIDE: u32 = 800;
 
-/// Default horizontal field of view, degrees: that of the Blender scenes.
+/// Default horizontal field of view, degrees; the value of the Blender scenes.
 const FOV: f64 = 39.597_758_2;
 
-/// True if the pictures follow one another as a film.
+/// Returns true if the pictures are the frames of a film.
 pub fn is_film(arguments: &RenderArguments) -> bool {
     arguments.path.is_some() || arguments.turntable.is_some() || arguments.flythrough.is_some()
 }
 
-/// `renders` in the run folder, or next to the model file.
+/// Returns the path of `renders` in the run folder, or next to the model file.
 pub fn beside(model: &Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or(Path::new("")) };
     folder.join("renders")
 }
 
-/// The cameras that the arguments select, in the coordinates of the model. Arguments are in the coordinates of the photographs.
+/// Returns the cameras that the arguments select, in the coordinates of the model. Arguments are in the coordinates of the photographs.
 pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>> {
     if let Some(fov) = arguments.fov
         && !(fov > 0.0 && fov < 180.0)
@@ -74,10 +74,10 @@ pub fn chosen(arguments: &RenderArguments, config: &Config) -> Result<Vec<Named>
     test_views(config, &arguments.views)
 }
 
-/// The training cameras: from the data set or, if that is missing, from the run folder.
+/// Returns the training cameras: from the data set or, if that is missing, from the run folder.
 ///
 /// # Errors
-/// When neither has cameras.
+/// When neither has training cameras.
 pub fn photographed(model: &Path, config: &Config) -> Result<Vec<Camera>> {
     let missing = match trimip_data::open_test(&config.section()?) {
         Ok(data) => return Ok(data.train),
@@ -86,7 +86,8 @@ pub fn photographed(model: &Path, config: &Config) -> Result<Vec<Camera>> {
     training_cameras(model, LocalOrigin::of(&config.data))?.ok_or(missing)
 }
 
-/// Intrinsics from `--width`, `--height` and `--fov`; without these, the aspect ratio and the horizontal field of view are those of `like`.
+/// Returns the intrinsics of `--width`, `--height` and `--fov`. Without these options, the aspect ratio and the horizontal field of view
+/// are those of `like`.
 fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
     let RenderArguments { width, height, fov, .. } = *arguments;
     if (width, height, fov) == (None, None, None) {
@@ -105,14 +106,14 @@ fn stated(arguments: &RenderArguments, like: Intrinsics) -> Intrinsics {
     Intrinsics::from_angle(width, height, angle)
 }
 
-/// Index of the first test view that the arguments select, or 0; `None` if they select another camera.
+/// Returns the index of the first test view that the arguments select, or 0; `None` if they select another camera.
 pub fn test_view(arguments: &RenderArguments) -> Option<usize> {
     let RenderArguments { pose, look_at, views, .. } = arguments;
     let other = pose.is_some() || look_at.is_some() || is_film(arguments);
     (!other).then(|| views.first().copied().unwrap_or(0))
 }
 
-/// Cameras of test views at full size, those of view 0 if `views` is empty.
+/// Returns the cameras of test views at full size; that of view 0 if `views` is empty.
 fn test_views(config: &Config, views: &[usize]) -> Result<Vec<Named>> {
     let frames = trimip_data::open_test(&config.section()?)?.frames;
     let views = if views.is_empty() { &[0] } else { views };

@@ -1,5 +1,5 @@
 //! `render --strip`: one camera at increasing pixel sizes, as if from increasing distance. All pictures are enlarged to one size. There is
-//! one row per model, and the original below if there is one; then the PSNR of every picture against the original is printed, in dB.
+//! one row per model. If there is an original, it is the last row, and the PSNR of every picture relative to it is printed, in dB.
 
 use super::selection;
 use crate::{args::RenderArguments, interrupt, terminal};
@@ -13,9 +13,9 @@ use trimip_core::{
 };
 use trimip_data::{builtin, settings::DataConfig};
 
-/// Width of each column's pixels, in pixels of the camera.
+/// Pixel size of each column, in pixels of the camera.
 const FACTORS: [u32; 5] = [1, 2, 4, 8, 16];
-/// White pixels between pictures.
+/// Number of white pixels between pictures.
 const GAP: u32 = 2;
 /// Largest width or height of a strip, pixels.
 const MAX_SIDE: u32 = 16_384;
@@ -97,7 +97,7 @@ fn check_size(width: u32, height: u32, rows: u32) -> Result<()> {
     ))
 }
 
-/// The ground truth for the camera: rays traced through the built-in scene, or the photograph of the test view.
+/// Returns the ground truth for the camera: rays traced through the built-in scene, or the photograph of the test view.
 fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Result<Option<Picture>> {
     let background = config.data.background;
     let data: DataConfig = config.section()?;
@@ -119,7 +119,7 @@ fn original(config: &Config, arguments: &RenderArguments, camera: &Camera) -> Re
 }
 
 impl Picture {
-    /// Resamples the picture: each new pixel is the mean over its area.
+    /// Resamples the picture: each new pixel is the mean over the area that it covers.
     fn averaged(&self, width: u32, height: u32) -> Self {
         let (across, down) = (fractions(self.width, width), fractions(self.height, height));
         let mut rgb = Vec::with_capacity(width as usize * height as usize);
@@ -139,7 +139,7 @@ impl Picture {
     }
 }
 
-/// For each of `to` equal parts of a side: the indices of the `from` pixels that it covers, and the fraction of each.
+/// Returns, for each of `to` equal parts of a side of `from` pixels, the indices of the pixels that it covers, and the fraction of each.
 fn fractions(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let size = f64::from(from) / f64::from(to);
     let part = |i: u32| {
@@ -151,7 +151,7 @@ fn fractions(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     (0..to).map(part).collect()
 }
 
-/// All pictures in a grid, enlarged without smoothing to the size of the first.
+/// Returns all pictures in a grid, enlarged without smoothing to the size of the first.
 fn sheet(width: u32, height: u32, rows: &[(String, Vec<Picture>)]) -> Result<RgbImage> {
     let side = |size: u32, count: usize| count as u32 * (size + GAP) - GAP;
     let white = image::Rgb([255; 3]);
@@ -166,7 +166,7 @@ fn sheet(width: u32, height: u32, rows: &[(String, Vec<Picture>)]) -> Result<Rgb
     Ok(sheet)
 }
 
-/// PSNR of every row's pictures against those of the last row.
+/// Returns lines with the PSNR of every row's pictures relative to those of the last row.
 fn table(rows: &[(String, Vec<Picture>)]) -> Vec<String> {
     let Some(((_, originals), models)) = rows.split_last() else {
         return Vec::new();
@@ -198,7 +198,7 @@ mod tests {
         let mean = |picture: &Picture| {
             picture.rgb.iter().map(|rgb| f64::from(rgb[0])).sum::<f64>() / picture.rgb.len() as f64
         };
-        // If the sizes do not divide, output pixels share input pixels.
+        // If the larger size is not a multiple of the smaller one, output pixels share input pixels.
         for (width, height) in [(7, 5), (3, 2), (1, 1), (9, 11)] {
             assert!((mean(&ramp(7, 5).averaged(width, height)) - 17.0).abs() < 1e-5, "{width}×{height}");
         }

@@ -1,4 +1,4 @@
-//! `train`: plan, train or resume, evaluate, report.
+//! `train`: plans, trains or resumes, evaluates and reports.
 
 use crate::{
     args::{ProgressStyle, TrainArguments},
@@ -43,7 +43,7 @@ pub fn run(arguments: &TrainArguments) -> Result<u8> {
     conclude(&trained, arguments.progress)
 }
 
-/// Extends the finished run of a folder by `time`.
+/// Returns the training that extends the finished run of a folder by `time`.
 fn extension(arguments: &TrainArguments, root: &Path, time: &str) -> Result<Training> {
     let seconds = settings::duration("--continue-for", time)?;
     let mut sets = Vec::new();
@@ -130,8 +130,8 @@ pub fn conclude(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     Ok(if ended == Outcome::Stopped && interrupted { interrupt::EXIT_CODE } else { 0 })
 }
 
-/// Reports that the folder already holds this run. The caller has rewritten the report, because an earlier stop or another quality floor
-/// may have left a different one.
+/// Reports that the folder already holds this run, finished. The caller has rewritten the report, because an earlier
+/// stop or a different quality floor may have left another one.
 fn already_finished(trained: &Trained, style: ProgressStyle) -> Result<u8> {
     let finished = vec![format!(
         "finished: {} holds this run, {}, trained and evaluated; --fresh trains it again",

@@ -9,10 +9,10 @@ use trimip::backends;
 use trimip_core::Result;
 use trimip_view::{Listener, Scene, Server};
 
-/// Interval at which the program polls for Ctrl-C.
+/// Interval at which the program checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Opens the model and serves it.
+/// Opens the model and serves it until Ctrl-C.
 pub fn run(arguments: &ViewArguments) -> Result<u8> {
     let (mut scene, renderers) = Scene::open(&arguments.model, &arguments.set)?;
     scene.cropped = arguments.crop.opens(&mut scene.config);

@@ -15,24 +15,24 @@ Settings = dict[str, Any]
 Split = Literal["train", "test"]
 
 class Error(Exception):
-    """Any error of trimip. Its text is one line: where, what, and what to do about it."""
+    """Any error of trimip. Its text is one line: the place of the fault, the fault, and advice."""
 
     place: str | None
-    """Where the fault is: a file, a frame, a setting, an argument. None for failures of a run or a device."""
+    """Place of the fault: a file, a frame, a setting, an argument. None for failures of a run or a device."""
     path: Path | None
-    """The file of `place`, if it is in one."""
+    """File in which the fault is; None if it is in no file."""
     line: int | None
-    """The line of that file, from 1, if it is known."""
+    """Line of that file, counted from 1; None if it is unknown."""
     found: str
-    """What was found there."""
+    """The fault that was found."""
     advice: str | None
-    """What to do about it."""
+    """Advice on how to fix it."""
 
 class InputError(Error):
     """A file, a setting or an argument is wrong."""
 
 class RunError(Error):
-    """A run failed with valid input, or missed its quality floor."""
+    """A run failed although its input was valid, or the model missed its quality floor."""
 
 class DeviceError(Error):
     """The device is missing, too small or lost."""
@@ -85,7 +85,7 @@ class Camera:
         cx: ArrayLike | None = None,
         cy: ArrayLike | None = None,
     ) -> list[Camera]:
-        """Creates one camera per matrix of `poses`, [N, 3|4, 4]. The projection is one number for all cameras, or N numbers."""
+        """Creates one camera per matrix of `poses`, [N, 3|4, 4]. A value of the projection is one number, or N numbers."""
     def resized(self, factor: float) -> Camera:
         """Returns the same view with `factor` times as many pixels along each side."""
     @property
@@ -114,7 +114,7 @@ class Scene:
     """A data set: photographs with their cameras."""
 
     def __new__(cls, root: str | PathLike[str] | None = None, settings: Settings | None = None) -> Scene:
-        """Opens the folder of a scene; without `root`, the built-in scene, or the data that `settings` select."""
+        """Opens the folder of a scene. Without `root`, opens the data that `settings` select; the default is the built-in scene."""
     @property
     def name(self) -> str:
         """Name of the scene's folder, or "builtin"."""
@@ -145,7 +145,7 @@ class Frame:
         """Opacity in [0, 1]: float32 […]."""
     @property
     def depth(self) -> NDArray[np.float32]:
-        """Distance along the optical axis, world units: float32 […]; infinite where nothing is seen."""
+        """Distance along the optical axis, world units: float32 […]; infinite where the ray hits nothing."""
 
 class Mesh:
     """A triangle mesh of the surface."""
@@ -164,7 +164,7 @@ class Mesh:
         """Colours of the vertices: float32 [N, 3] in [0, 1]; [0, 3] without colours."""
     @property
     def triangles(self) -> NDArray[np.uint32]:
-        """Vertex indices of the triangles, counterclockwise from outside: uint32 [M, 3]."""
+        """Vertex indices of the triangles, counterclockwise as seen from outside: uint32 [M, 3]."""
     @property
     def volume(self) -> float:
         """The enclosed volume, world units cubed."""
@@ -172,25 +172,25 @@ class Mesh:
     def is_closed(self) -> bool:
         """True if the mesh is closed, manifold and oriented."""
     def write(self, path: str | PathLike[str]) -> int:
-        """Writes a PLY, OBJ or GLB file, chosen by the file extension; returns its size in bytes."""
+        """Writes a PLY, OBJ or GLB file, as the file extension specifies; returns its size in bytes."""
 
 class Model:
     """A trained model on a backend. Several threads may share a model; their calls take turns."""
 
     @staticmethod
     def load(path: str | PathLike[str], settings: Settings | None = None) -> Model:
-        """Loads the model of a run folder or a model file; `settings` override how it is rendered and where its photographs are."""
+        """Loads the model of a run folder or a model file. `settings` override settings of rendering and of the data."""
     def render(self, camera: Camera) -> Frame:
         """Renders one view. Its arrays have the shape [height, width, …]."""
     def render_batch(self, cameras: Sequence[Camera]) -> Frame:
-        """Renders the views of cameras with one picture size. The arrays have the shape [views, height, width, …]."""
+        """Renders the views of cameras that have equal picture sizes. The arrays have the shape [views, height, width, …]."""
     def query(
         self, points: ArrayLike, directions: ArrayLike | None = None, radius: float | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Returns density, float32 […] per world unit, and colour, float32 […, 3], at `points`, […, 3].
 
-        `directions` are the viewing directions from the eye, […, 3] or a single one (default: −z); `radius` is that of the queried spheres,
-        world units (default: half a marching step).
+        `directions` are the viewing directions from the eye, […, 3] or a single one (default: −z). `radius` is the radius of the queried
+        spheres, world units (default: half a marching step).
         """
     def features(self, points: ArrayLike, radius: float | None = None) -> NDArray[np.float32]:
         """Returns the encoder's features at `points`, […, 3]: float32 […, features]."""
@@ -205,8 +205,8 @@ class Model:
     ) -> Mesh:
         """Extracts the surface where the density crosses `level`, simplified to about `triangles` triangles (0: all are kept).
 
-        `level` is per world unit; by default a marching step has an optical depth of 0.2. `resolution` is the number of grid cells along
-        the longest side of the box, and connected parts with a diagonal below `specks` of that side are left out.
+        `level` is per world unit; the default is the density at which a marching step has an optical depth of 0.2. `resolution` is the
+        number of grid cells along the longest side of the box. Connected parts with a diagonal below `specks` of that side are left out.
         """
     def evaluate(self, stride: int = 1) -> dict[str, Any]:
         """Measures every `stride`-th test view; returns a dictionary with `stride`, `scales`, `mean`, `views` and `seconds`."""
@@ -217,7 +217,7 @@ class Model:
         """All settings, as nested dictionaries."""
     @property
     def local_origin(self) -> list[float]:
-        """Origin of the model's own coordinates (`aabb`, mesh positions) in the coordinates of the photographs."""
+        """Origin of the model's local coordinates (`aabb`, mesh positions) in the coordinates of the photographs."""
     @property
     def aabb(self) -> tuple[list[float], list[float]]:
         """Lower and upper corner of the scene's box, world units, relative to `local_origin`."""
@@ -280,10 +280,10 @@ def train(
     callback: Callable[[dict[str, Any]], bool | None] | None = None,
     fresh: bool = False,
 ) -> Run:
-    """Trains in a run folder, or resumes its run. `callback` receives every event as a dictionary; it stops the run by returning False."""
+    """Trains in a run folder, or resumes its run. `callback` receives every event as a dictionary; to stop the run, it returns False."""
 def defaults() -> dict[str, Any]:
     """Returns all settings with their defaults, as nested dictionaries."""
 def systems() -> list[str]:
     """Returns the names of the systems that `train` accepts."""
 def backends() -> list[str]:
-    """Returns the names of the backends that work on this machine."""
+    """Returns the names of the backends that this machine can run."""

@@ -43,9 +43,9 @@ class World:
     def load(path: str | os.PathLike[str], transforms: str | os.PathLike[str] | None = None) -> World:
         """Reads a ``dataparser_transforms.json``, given by its path or by the folder of a run.
 
-        The map of this file starts in the world of the COLMAP model. If the photographs' cameras come from a ``transforms.json`` that
+        The map in this file starts in the world of the COLMAP model. If the photographs' cameras come from a ``transforms.json`` that
         ``ns-process-data`` wrote, pass that file as ``transforms``: its ``applied_transform`` and ``applied_scale`` map COLMAP's world
-        to its own.
+        to the world of ``transforms.json``.
         """
         path = os.path.join(path, "dataparser_transforms.json") if os.path.isdir(path) else path
         data, applied = _read(path), (_read(transforms) if transforms is not None else {})

@@ -6,7 +6,7 @@ from typing import Any, TextIO
 
 
 class Progress:
-    """A callback for :func:`trimip.train` and :func:`trimip.capture` that keeps one line up to date.
+    """A callback for :func:`trimip.train` and :func:`trimip.capture` that shows the progress in one line.
 
     >>> trimip.train({"data.root": "data/lego"}, callback=trimip.Progress())
     """

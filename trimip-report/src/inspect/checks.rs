@@ -5,10 +5,10 @@ use super::space::number;
 use trimip::data::checks::{Check, Values, Verdict, name};
 use trimip::inspect::Inspection;
 
-/// Views listed for one check.
+/// Maximum number of views that are listed for one check.
 const LISTED: usize = 40;
 
-/// All three sections.
+/// Returns all three sections.
 pub fn sections(seen: &Inspection) -> String {
     [suspicious(seen), every(seen), views(seen)].concat()
 }
@@ -22,7 +22,7 @@ fn suspicious(seen: &Inspection) -> String {
     format!("<section><h2>Suspicious</h2>{content}</section>\n")
 }
 
-/// A suspicious check with its views.
+/// Returns a suspicious check with its views.
 fn card(seen: &Inspection, check: &Check) -> Option<String> {
     let Verdict::Suspicious(advice) = check.verdict else { return None };
     let train = &seen.seen.scene.train;
@@ -68,7 +68,7 @@ fn every(seen: &Inspection) -> String {
     )
 }
 
-/// The figures of all training views.
+/// Returns the table with the figures of all training views.
 fn views(seen: &Inspection) -> String {
     let train = &seen.seen.scene.train;
     let columns: Vec<&Values> = seen.checks.iter().flat_map(|check| &check.values).collect();

@@ -7,24 +7,24 @@ use trimip::data::checks::{coarsest, stops};
 use trimip::inspect::Inspection;
 use trimip::{Alpha, Camera, Result, ViewSet};
 
-/// Number of evenly spread frames shown, and maximum number of suspicious frames in addition.
+/// Number of evenly spread frames, and maximum number of suspicious frames that are shown in addition.
 const SPREAD: usize = 24;
 const SUSPICIOUS: usize = 12;
 
 /// Longest side of a thumbnail, pixels.
 const LONGEST: u32 = 200;
 
-/// Minimum side of the image that a thumbnail is made from, pixels; without such a scale the finest one is used.
+/// Minimum side of the scale that a thumbnail is made from, pixels; if no scale is as large, the finest one is used.
 const SOURCE: u32 = 150;
 
-/// Squares of the checkerboard along the longer side.
+/// Number of checkerboard squares along the longer side.
 const SQUARES: u32 = 24;
 
 /// The two colours of the board: grey for transparent pixels, red for masked ones.
 const EMPTY: [[u8; 3]; 2] = [[255, 255, 255], [204, 204, 204]];
 const IGNORED: [[u8; 3]; 2] = [[250, 205, 205], [226, 150, 150]];
 
-/// The section; empty without frames.
+/// Returns the section with the thumbnails; empty without frames.
 pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Result<String> {
     let train = seen.seen.scene.train.scales.first().map_or(0, |scale| scale.views.len());
     let all = train + seen.seen.scene.test_views.len();
@@ -75,7 +75,7 @@ fn tested(seen: &Inspection, index: usize) -> Result<String> {
     thumbnail(&set, scale.views.start, name, camera, "test", &[])
 }
 
-/// A view of a set as a figure; `camera` is that of the whole photograph.
+/// Returns a view of a set as an HTML figure; `camera` is the camera of the photograph at full size.
 fn thumbnail(
     set: &ViewSet,
     index: usize,
@@ -102,7 +102,7 @@ fn thumbnail(
     ))
 }
 
-/// A view on the checkerboard.
+/// Draws a view over the checkerboard.
 fn boarded(set: &ViewSet, index: usize) -> RgbImage {
     let k = &set.views[index].camera.intrinsics;
     let pixels = set.pixels_of(index);
@@ -120,7 +120,7 @@ fn boarded(set: &ViewSet, index: usize) -> RgbImage {
     })
 }
 
-/// A picture reduced to sides of at most [`LONGEST`].
+/// Reduces a picture so that its sides are at most [`LONGEST`].
 fn shrunk(picture: &RgbImage) -> RgbImage {
     let (width, height) = picture.dimensions();
     let longest = width.max(height);

@@ -1,5 +1,4 @@
-//! The page of an inspected capture, one self-contained file: a summary, cameras and box from three sides, thumbnails, warnings and
-//! checks.
+//! The page of an inspected capture, one self-contained file: a summary, cameras and box from three sides, thumbnails, warnings and checks.
 
 mod checks;
 mod frames;
@@ -15,7 +14,7 @@ use trimip::formatting;
 use trimip::inspect::Inspection;
 use trimip::{Alpha, Result};
 
-/// The whole page.
+/// Returns the whole page.
 ///
 /// # Errors
 /// When a test photograph cannot be read.
@@ -23,7 +22,7 @@ pub fn page(seen: &Inspection) -> Result<String> {
     page_with(seen, &[])
 }
 
-/// The whole page, including pictures without a camera.
+/// Returns the whole page, including the pictures that have no camera.
 ///
 /// # Errors
 /// When a test photograph cannot be read.
@@ -40,7 +39,7 @@ pub fn page_with(seen: &Inspection, unplaced: &[UnplacedPicture]) -> Result<Stri
     Ok(page::whole(&format!("{} – Tri-MipRF capture", seen.seen.scene.name), &content.concat()))
 }
 
-/// The suspicious figures of training views, by index of the view.
+/// Returns the suspicious figures of training views, by index of the view.
 fn doubts(seen: &Inspection) -> HashMap<usize, Vec<String>> {
     let mut doubts: HashMap<usize, Vec<String>> = HashMap::new();
     for check in &seen.checks {
@@ -93,7 +92,7 @@ fn head(seen: &Inspection) -> String {
     )
 }
 
-/// Warnings of the readers, such as what they dropped and why, and of the plan.
+/// Returns the warnings of the readers, such as what they left out and why, and those of the plan.
 fn left_out(seen: &Inspection) -> String {
     let warnings = seen.seen.scene.warnings.iter().chain(&seen.warnings);
     let items: String = warnings.map(|warning| format!("<li>{}</li>", escape(warning))).collect();
@@ -110,7 +109,7 @@ mod tests {
     use trimip::data::{Point, unwatched};
     use trimip::inspect::inspect;
 
-    /// The built-in scene, small.
+    /// Returns the built-in scene at a small size.
     fn seen() -> Inspection {
         let settings = trimip::settings::defaults().with("data.format", "builtin");
         let sets = [("size", 48), ("train", 12), ("test", 3), ("supersampling", 1)];
@@ -120,7 +119,7 @@ mod tests {
         inspect(small.unwrap(), &unwatched).unwrap()
     }
 
-    /// The page without the base64 data of its pictures, which could match any text.
+    /// Returns the page without the base64 data of its pictures, which could match any text.
     fn told(page: &str) -> String {
         let parts = page.split("base64,").enumerate();
         let kept = parts.map(|(i, part)| if i == 0 { part } else { &part[part.find('"').unwrap()..] });
@@ -144,7 +143,7 @@ mod tests {
         assert!(told.contains("a&lt;b&gt;&amp;c") && told.contains("a &lt;strange&gt; file"));
         assert!(told.contains("<b>12</b><span>training views</span>"));
         assert!(told.contains("<b>3</b><span>test views</span>"));
-        // Every camera and the box from three sides; all frames.
+        // Every camera and the box appear in three drawings; all frames have thumbnails.
         assert_eq!(told.matches("<path class=\"train\"").count() + told.matches("\"doubt\"").count(), 36);
         assert_eq!(told.matches("<path class=\"test\"").count(), 9);
         assert_eq!(told.matches("<rect class=\"space\"").count(), 3);

@@ -11,17 +11,17 @@ const SIDE: f64 = 440.0;
 const LEFT: f64 = 46.0;
 const BOTTOM: f64 = 34.0;
 
-/// Maximum number of points and of cameras drawn; more are thinned evenly.
+/// Maximum numbers of points and of cameras that are drawn; larger sets are thinned evenly.
 const MOST_POINTS: usize = 3000;
 const MOST_CAMERAS: usize = 400;
 
-/// Length of a frustum relative to half the side of the drawn cube.
+/// Length of a drawn frustum, relative to half the side of the drawn cube.
 const FRUSTUM: f64 = 0.06;
 
-/// Maximum drawn tangent of half the angle of view; a fisheye's frustum would be unbounded.
+/// Maximum tangent of half the angle of view in a drawn frustum; that of a fisheye would be unbounded.
 const WIDEST: f64 = 1.5;
 
-/// The axes to the right and upwards in each drawing, and its title.
+/// The two axes of each drawing, to the right and upwards, and its title.
 const SIDES: [([usize; 2], &str); 3] =
     [([0, 1], "along z, from above"), ([0, 2], "along y, from −y"), ([1, 2], "along x, from +x")];
 
@@ -44,7 +44,7 @@ struct Frame {
 }
 
 impl Frame {
-    /// Position of a point in a drawing.
+    /// Returns the position of a point in the drawing with these two axes.
     fn place(&self, [right, up]: [usize; 2], at: DVec3) -> [f64; 2] {
         let (width, height) = (SIDE - LEFT, SIDE - BOTTOM);
         let scale = 0.5 * width.min(height) / self.half;
@@ -53,7 +53,7 @@ impl Frame {
     }
 }
 
-/// The section; empty without cameras.
+/// Returns the section with the drawings; empty without cameras.
 pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> String {
     let scene = &seen.seen.scene;
     let views = scene.train.scales.first().map_or(0..0, |scale| scale.views.clone());
@@ -124,7 +124,7 @@ pub fn section(seen: &Inspection, doubts: &HashMap<usize, Vec<String>>) -> Strin
     )
 }
 
-/// The cube that contains the cameras and the planned space; `None` if nothing has a finite size.
+/// Returns the cube that contains the cameras and the planned space; `None` if nothing has a finite size.
 fn frame(seen: &Inspection, drawn: &[DrawnCamera<'_>]) -> Option<Frame> {
     let space = match seen.space.ball() {
         Some(ball) => {
@@ -139,7 +139,7 @@ fn frame(seen: &Inspection, drawn: &[DrawnCamera<'_>]) -> Option<Frame> {
     (half.is_normal() && !drawn.is_empty()).then_some(Frame { centre: 0.5 * (low + high), half })
 }
 
-/// Grid lines at round values, with their labels and the names of the axes.
+/// Draws grid lines at round values, with their labels and the names of the axes.
 fn grid(frame: &Frame, [right, up]: [usize; 2]) -> String {
     let step = round_step(2.0 * frame.half / 5.0);
     let digits = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
@@ -182,7 +182,7 @@ fn grid(frame: &Frame, [right, up]: [usize; 2]) -> String {
     )
 }
 
-/// Points of structure from motion in their colours.
+/// Draws the points of structure from motion in their colours.
 fn points(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
     let all = &seen.seen.scene.points;
     let stride = all.len().div_ceil(MOST_POINTS).max(1);
@@ -196,7 +196,7 @@ fn points(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
     all.iter().step_by(stride).filter_map(dot).collect()
 }
 
-/// A camera as the pyramid of its field of view.
+/// Draws a camera as the pyramid of its field of view.
 fn frustum(frame: &Frame, axes: [usize; 2], drawn: &DrawnCamera<'_>) -> String {
     let (camera, k) = (drawn.camera, &drawn.camera.intrinsics);
     let length = FRUSTUM * frame.half;
@@ -229,7 +229,7 @@ fn frustum(frame: &Frame, axes: [usize; 2], drawn: &DrawnCamera<'_>) -> String {
     )
 }
 
-/// The planned box, or the ball.
+/// Draws the planned box or, for an unbounded scene, the ball.
 fn outline(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
     if let Some(ball) = seen.space.ball() {
         let centre = DVec3::from_array(ball.centre);
@@ -250,7 +250,7 @@ fn outline(seen: &Inspection, frame: &Frame, axes: [usize; 2]) -> String {
     )
 }
 
-/// A length with three significant figures.
+/// Formats a length with three significant figures.
 pub fn number(value: f64) -> String {
     if !value.is_finite() {
         return "–".into();

@@ -13,15 +13,15 @@ const LONGEST: u32 = 200;
 
 /// A picture without a camera.
 pub struct UnplacedPicture {
-    /// Its name.
+    /// Name of the picture.
     pub name: String,
-    /// Its file, if it can be shown.
+    /// Path of its file, if the picture can be shown.
     pub path: Option<PathBuf>,
-    /// Why it has no camera.
+    /// Reason why it has no camera.
     pub reason: String,
 }
 
-/// The section; empty without such pictures.
+/// Returns the section with these pictures; empty if there are none.
 pub fn section(unplaced: &[UnplacedPicture]) -> Result<String> {
     if unplaced.is_empty() {
         return Ok(String::new());

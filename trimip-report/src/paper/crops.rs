@@ -1,5 +1,5 @@
-//! Crops of the same parts of the same test views by all systems, at every scale, with error maps. A crop is the part of the
-//! photograph with the most detail, so its choice depends on no system.
+//! Crops of the same parts of the same test views for all systems, at every scale, with error maps. A crop is the part
+//! of the photograph with the most detail, so the choice does not depend on a system.
 
 use super::look::mark;
 use crate::{difference, page::escape, pictures};
@@ -11,13 +11,13 @@ use trimip::run::store::{FileStore, ViewRecord};
 use trimip::systems::System;
 use trimip::{Result, RunFolder};
 
-/// Number of views shown per scene: with one scene, with several.
+/// Number of views per scene: in a comparison on one scene, and on several.
 const VIEWS: [usize; 2] = [2, 1];
-/// Ratio of the sides of a view to those of its crop.
+/// Side of a view divided by the side of its crop.
 const PART: u32 = 4;
 /// Smallest side of a crop at the finest scale, pixels.
 const LEAST: u32 = 32;
-/// Distance between candidate crops in pixels of the finest scale: whole pixels at every scale.
+/// Distance between candidate crops in pixels of the finest scale, a whole number of pixels at every scale.
 const STEP: u32 = 8;
 /// Longest side of the small view that shows where a crop is, pixels.
 const SMALL: u32 = 300;
@@ -40,7 +40,7 @@ impl Crop {
     }
 }
 
-/// A system's pictures of a scene.
+/// A system's pictures for a scene.
 struct Shown {
     system: &'static System,
     images: PathBuf,
@@ -48,18 +48,18 @@ struct Shown {
 }
 
 impl Shown {
-    /// The record of a frame at a scale, if it was pictured.
+    /// Returns the record of a frame at a scale, if it has pictures.
     fn view(&self, index: usize, scale: u32) -> Option<&ViewRecord> {
         self.views.iter().find(|view| view.index == index && view.scale == scale && view.comparison.is_some())
     }
 
-    /// Rendering and photograph of a frame at a scale.
+    /// Returns the rendering and photograph of a frame at a scale.
     fn pictures(&self, index: usize, scale: u32) -> Option<[RgbImage; 2]> {
         pictures::compared(&self.images, self.view(index, scale)?)
     }
 }
 
-/// The section of a table; empty without pictures.
+/// Returns the section of crops below a table; empty without pictures.
 pub fn section(comparison: &Comparison, scales: Scales) -> Result<String> {
     let most = VIEWS[usize::from(comparison.scenes.len() > 1)];
     let mut html = String::new();
@@ -86,7 +86,7 @@ pub fn section(comparison: &Comparison, scales: Scales) -> Result<String> {
     ))
 }
 
-/// The systems with pictures of a scene, each from its first run that has any.
+/// Returns the systems with pictures of a scene; the pictures are those of the first run that has any.
 fn shown(comparison: &Comparison, scales: Scales, scene: &str) -> Vec<Shown> {
     let of = |system: &&'static System| {
         comparison
@@ -103,7 +103,7 @@ fn shown(comparison: &Comparison, scales: Scales, scene: &str) -> Vec<Shown> {
     comparison.systems.iter().filter_map(of).collect()
 }
 
-/// The crops of a view: one row per scale, one column per system.
+/// Returns the crops of a view: one row per scale, one column per system.
 fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
     let Some([_, photograph]) = shown.first().and_then(|first| first.pictures(view.index, view.scale)) else {
         return Ok(String::new());
@@ -156,7 +156,7 @@ fn crops(scene: &str, shown: &[Shown], view: &ViewRecord) -> Result<String> {
     ))
 }
 
-/// A small version of the whole photograph with a frame around the crop.
+/// Returns a small version of the whole photograph with a frame around the crop.
 fn whereabouts(photograph: &RgbImage, place: Crop) -> Result<String> {
     let (width, height) = photograph.dimensions();
     let fraction = |part: u32, whole: u32| 100.0 * f64::from(part) / f64::from(whole.max(1));
@@ -173,7 +173,7 @@ fn whereabouts(photograph: &RgbImage, place: Crop) -> Result<String> {
     ))
 }
 
-/// The part of a photograph with the largest sum of differences between neighbouring pixels.
+/// Returns the part of a photograph with the largest sum of differences between neighbouring pixels.
 fn most_detail(photograph: &RgbImage) -> Crop {
     let (width, height) = photograph.dimensions();
     let side = |side: u32| (side / PART / STEP * STEP).max(LEAST).min(side);
@@ -197,7 +197,7 @@ fn most_detail(photograph: &RgbImage) -> Crop {
     };
     let starts = |side: u32, part: u32| (0..=(side - part) / STEP).map(|i| i * STEP);
     let places = starts(height, h).flat_map(|y| starts(width, w).map(move |x| (x, y)));
-    // Of equal sums, the first wins.
+    // If sums are equal, the first wins.
     let best = places
         .fold((0, 0), |best, place| if sum(place.0, place.1) > sum(best.0, best.1) { place } else { best });
     Crop { x: best.0, y: best.1, width: w, height: h }

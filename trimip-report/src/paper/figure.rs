@@ -13,7 +13,7 @@ use trimip::systems::{
     published::{PUBLISHED, Published},
 };
 
-/// The curves of all systems: one per system if all its runs are measured, otherwise one per run.
+/// Draws the curves of all systems: one per system if all its runs are measured, otherwise one per run.
 pub fn curves(comparison: &Comparison, scales: Scales) -> String {
     let lines: Vec<Line> =
         comparison.systems.iter().flat_map(|system| lines(comparison, scales, system)).collect();
@@ -54,7 +54,7 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
             (false, true) => DASHED,
         },
         points: points.iter().map(|m| point(m, of)).collect(),
-        // No ring if the curve already ends at this point.
+        // No ring is drawn if the curve already ends at this point.
         ring: (!points.last().is_some_and(|last| same(last, &end)))
             .then(|| point(&end, &format!("{of}, all measured views"))),
     };
@@ -74,12 +74,12 @@ fn lines(comparison: &Comparison, scales: Scales, system: &System) -> Vec<Line> 
     }
 }
 
-/// True for measures that differ by rounding at most.
+/// Returns true for measures that differ at most by rounding.
 fn same(a: &Measure, b: &Measure) -> bool {
     (a.seconds - b.seconds).abs() <= 1e-6 * b.seconds && (a.psnr - b.psnr).abs() < 1e-6
 }
 
-/// Quality against time and against size, measured and published; empty if nothing was measured.
+/// Draws quality against time and against size, measured and published; empty if nothing was measured.
 pub fn points(comparison: &Comparison, scales: Scales) -> String {
     let rows: Vec<_> = headline(comparison, scales)
         .into_iter()
@@ -123,7 +123,7 @@ pub fn points(comparison: &Comparison, scales: Scales) -> String {
     };
     let mut panels =
         figure("Measured here", &size[0], "model / MB") + &figure("Published", &size[1], "model / MB");
-    // With equal training times the points would lie above each other, and the curves show the same.
+    // With equal training times the points would lie above each other, and the curves already show their quality.
     let ends = || time[0].iter().map(|mark| mark.x);
     let apart = ends().fold(0.0, f64::max) > 1.1 * ends().fold(f64::INFINITY, f64::min);
     if apart {

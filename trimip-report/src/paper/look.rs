@@ -4,20 +4,20 @@ use crate::svg::{COLORS, DASHED};
 use trimip::paper::{Comparison, Scales, TableRow};
 use trimip::systems::SYSTEMS;
 
-/// Colour of a system, and whether its lines are dashed. Both are the same on every page.
+/// Returns the colour of a system, and whether its lines are dashed. Both are the same on every page.
 pub fn look(system: &str) -> (&'static str, bool) {
     let place = SYSTEMS.iter().position(|own| own.name == system).unwrap_or(0);
     (COLORS[place % COLORS.len()], place >= COLORS.len())
 }
 
-/// The mark of a system as HTML.
+/// Returns the mark of a system as HTML.
 pub fn mark(system: &str) -> String {
     let (color, dashed) = look(system);
     let dashed = if dashed { format!(" {DASHED}") } else { String::new() };
     format!("<i class=\"mark{dashed}\" style=\"color:{color}\"></i>")
 }
 
-/// The rows that summarise all scenes: those of the only scene, or the means.
+/// Returns the rows that summarise all scenes: those of the only scene, or the means over several.
 pub fn headline(comparison: &Comparison, scales: Scales) -> Vec<TableRow> {
     match &comparison.scenes[..] {
         [scene] => comparison.scene_rows(scales, scene),

@@ -1,5 +1,5 @@
-//! `paper.html`: systems compared on one self-contained page: curves, points of quality against size and time, tables, crops of the
-//! same parts, and the published figures in panels and tables of their own.
+//! `paper.html`: a comparison of systems on one self-contained page. It has curves, points of quality against size and
+//! time, tables, crops of the same parts, and the published figures in panels and tables of their own.
 
 mod crops;
 mod figure;
@@ -14,7 +14,7 @@ use trimip::paper::{Comparison, Figures, Status};
 use trimip::systems::published::REMARKS;
 use trimip::{Result, config::Convention, machine};
 
-/// The whole page.
+/// Returns the whole page.
 ///
 /// # Errors
 /// When a picture cannot be encoded.
@@ -46,7 +46,7 @@ fn head(comparison: &Comparison) -> String {
     ];
     let best = comparison.scales.first().and_then(|&scales| {
         let rows = headline(comparison, scales).into_iter();
-        // Means over only some of the scenes do not compete.
+        // Means over only some of the scenes are not compared.
         let whole = rows.filter(|row| row.scenes[0] == row.scenes[1] && row.cell.psnr.is_finite());
         whole.max_by(|a, b| a.cell.psnr.total_cmp(&b.cell.psnr))
     });
@@ -85,7 +85,7 @@ fn head(comparison: &Comparison) -> String {
     )
 }
 
-/// Failed runs, and the number of pending ones.
+/// Lists the failed runs, and the number of pending ones.
 fn state(comparison: &Comparison) -> String {
     let mut items = String::new();
     for (run, reason) in comparison.failed() {
@@ -117,7 +117,7 @@ fn remarks() -> String {
     format!("<section><h2>Notes on the published figures</h2><ul class=\"remarks\">{items}</ul></section>\n")
 }
 
-/// Views, background and convention of the measurements made here.
+/// States the views, background and convention of the measurements made here.
 fn measure(comparison: &Comparison) -> String {
     let figures: Vec<&Figures> = comparison.runs.iter().filter_map(|run| run.figures.as_ref()).collect();
     let each = |text: &dyn Fn(&Figures) -> String| {
@@ -163,7 +163,7 @@ fn measure(comparison: &Comparison) -> String {
     )
 }
 
-/// The systems: what each is, how it differs from the published one, and its settings.
+/// Describes the systems: what each is, how it differs from the published one, and its settings.
 fn systems(comparison: &Comparison) -> String {
     let mut html = String::new();
     for system in &comparison.systems {

@@ -1,4 +1,4 @@
-//! A panel of points with names: PSNR in dB over a logarithmic axis, as SVG text.
+//! A panel of named points, PSNR in dB against a logarithmic axis, as SVG text.
 
 use crate::page::escape;
 use crate::svg::{Axis, round_step, short};
@@ -9,7 +9,7 @@ const LEFT: f64 = 46.0;
 const RIGHT: f64 = 12.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 44.0;
-/// About the width of a letter of 12 pixels.
+/// Approximate width of a letter of 12 pixels.
 const LETTER: f64 = 7.0;
 /// Gap between a point and its name.
 const GAP: f64 = 9.0;
@@ -21,20 +21,20 @@ const LINE: f64 = 14.0;
 pub struct Mark {
     /// Value on the horizontal axis, above 0.
     pub x: f64,
-    /// dB.
+    /// PSNR, dB.
     pub psnr: f64,
     /// Name.
     pub label: String,
     /// A CSS colour.
     pub color: &'static str,
-    /// Published, not measured: drawn as a ring.
+    /// True for a published value, which is drawn as a ring; false for a measured one.
     pub quoted: bool,
     /// Tooltip.
     pub hint: String,
 }
 
 impl Mark {
-    /// False for values that no axis can show.
+    /// Returns false for values that no axis can show.
     pub fn is_drawn(&self) -> bool {
         self.x > 0.0 && self.x.is_finite() && self.psnr.is_finite()
     }
@@ -47,11 +47,11 @@ type Area = [f64; 4];
 #[derive(Clone, Copy, Debug)]
 struct Label {
     area: Area,
-    /// True if the name ends at the right of its area, whose width is estimated from the average letter.
+    /// True if the name is aligned to the right side of its area. The width of the area is an estimate from the average letter.
     at_right: bool,
 }
 
-/// The range of quality that contains every value, rounded outwards.
+/// Returns the range of quality that contains every value, rounded outwards.
 pub fn range(psnr: &[f64]) -> [f64; 2] {
     let low = psnr.iter().copied().fold(f64::INFINITY, f64::min);
     let high = psnr.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -59,11 +59,11 @@ pub fn range(psnr: &[f64]) -> [f64; 2] {
     [((low - 0.3 * step) / step).floor() * step, ((high + 0.3 * step) / step).ceil() * step]
 }
 
-/// The panel; `None` without points. `quality` is the range of its vertical axis, dB.
+/// Draws the panel; `None` without points. `quality` is the range of its vertical axis, dB.
 pub fn panel(marks: &[Mark], title: &str, quality: [f64; 2]) -> Option<String> {
     let low = marks.iter().map(|mark| mark.x).reduce(f64::min)?;
     let high = marks.iter().map(|mark| mark.x).reduce(f64::max)?;
-    // The axis spans at least a factor of four, so that equal values do not fill it with digits.
+    // The axis spans at least a factor of four. Otherwise equal values would need labels with many digits.
     let middle = (low * high).sqrt();
     let (low, high) = ((low / 1.6).min(middle / 2.0), (high * 1.6).max(middle * 2.0));
     let x = Axis { low, high, logarithmic: true, start: LEFT, end: WIDTH - RIGHT };
@@ -106,7 +106,7 @@ pub fn panel(marks: &[Mark], title: &str, quality: [f64; 2]) -> Option<String> {
     Some(svg + "</svg>")
 }
 
-/// A point, its name, and a thin line between them if the name is not next to the point.
+/// Draws a point, its name, and a thin line between them if the name is not next to the point.
 fn drawn(mark: &Mark, [x, y]: [f64; 2], label: &Label) -> String {
     let [left, top, right, bottom] = label.area;
     let (class, faint) = if mark.quoted { ("quoted", " class=\"faint\"") } else { ("dot", "") };
@@ -130,7 +130,7 @@ fn drawn(mark: &Mark, [x, y]: [f64; 2], label: &Label) -> String {
     )
 }
 
-/// A position for each name near its point that covers as little as possible of points and other names.
+/// Returns a position near its point for each name, such that it covers as little as possible of points and other names.
 fn labels(marks: &[Mark], places: &[[f64; 2]]) -> Vec<Label> {
     let points: Vec<Area> = places.iter().map(|[x, y]| [x - 6.0, y - 6.0, x + 6.0, y + 6.0]).collect();
     let mut labels: Vec<Label> = Vec::new();
@@ -157,7 +157,7 @@ fn labels(marks: &[Mark], places: &[[f64; 2]]) -> Vec<Label> {
     labels
 }
 
-/// Area that two rectangles share.
+/// Returns the area that two rectangles share.
 fn shared(a: &Area, b: &Area) -> f64 {
     let side = |low: usize, high: usize| (a[high].min(b[high]) - a[low].max(b[low])).max(0.0);
     side(0, 2) * side(1, 3)
@@ -198,7 +198,7 @@ mod tests {
         let svg = panel(&marks, "model / MB", range(&[30.0, 20.0])).unwrap();
         assert!(svg.contains("a name &lt; b") && !svg.contains("NaN"));
         assert_eq!(svg.matches("class=\"dot\"").count(), 2);
-        // A single point and equal points have an axis too.
+        // A single point and equal points also have an axis.
         assert!(!panel(&marks[..1], "x", range(&[30.0])).unwrap().contains("NaN"));
         assert!(panel(&[], "x", [0.0, 1.0]).is_none());
     }

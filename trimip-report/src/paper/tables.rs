@@ -1,5 +1,5 @@
-//! The tables of the page: the measurements made here, with the best of a column in bold and the second underlined, and
-//! the published figures.
+//! The tables of the page: the measurements made here, with the best value of a column in bold and the second best
+//! underlined, and the published figures.
 
 use super::look::mark;
 use crate::page::escape;
@@ -8,10 +8,10 @@ use trimip::paper::{
 };
 use trimip::systems::{Kind, SYSTEMS};
 
-/// Up to this number of scenes, the table of each scene is unfolded.
+/// Maximum number of scenes for which the table of each scene is unfolded.
 const OPEN: usize = 2;
 
-/// The tables of the measurements.
+/// Returns the tables of the measurements.
 pub fn measured(comparison: &Comparison, scales: Scales) -> String {
     let mut html = String::new();
     if comparison.scenes.len() > 1 {
@@ -33,7 +33,7 @@ pub fn measured(comparison: &Comparison, scales: Scales) -> String {
     )
 }
 
-/// A table of rows, with the best and the second of each column marked.
+/// Returns a table of rows, with the best and the second best value of each column marked.
 fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut html = "<div class=\"scroll\"><table class=\"dense\"><tr><th>system</th>".to_string();
@@ -61,7 +61,7 @@ fn table(scales: Scales, rows: &[TableRow]) -> String {
     html + "</table></div>"
 }
 
-/// The tag of a system that is not the published one.
+/// Returns the tag of a system that is not the published one.
 fn tag(name: &str) -> String {
     let kind = SYSTEMS.iter().find(|system| system.name == name).map(|system| system.kind);
     match kind {
@@ -70,8 +70,8 @@ fn tag(name: &str) -> String {
     }
 }
 
-/// Rank of each row by a value, 0 for the greatest. A mean over only some of the scenes has no rank, nor does a row without a
-/// rival.
+/// Returns the rank of each row by a value, 0 for the greatest. A mean over only some of the scenes has no rank, and
+/// neither has a row without a rival.
 fn ranks(rows: &[TableRow], value: &dyn Fn(&TableRow) -> f64) -> Vec<usize> {
     let rival = |row: &&TableRow| value(row).is_finite() && row.scenes[0] == row.scenes[1];
     let rivals: Vec<f64> = rows.iter().filter(rival).map(value).collect();
@@ -82,9 +82,9 @@ fn ranks(rows: &[TableRow], value: &dyn Fn(&TableRow) -> f64) -> Vec<usize> {
     rows.iter().map(rank).collect()
 }
 
-/// The published figures.
+/// Returns the published figures.
 pub fn published(scales: Scales) -> String {
-    // The last three columns are words.
+    // The last three columns contain words.
     let class = |column: usize, count: usize| match column {
         0 => "",
         _ if column + 3 >= count => " class=\"w\"",

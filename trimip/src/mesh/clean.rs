@@ -61,7 +61,7 @@ fn diagonal([low, high]: &Corners) -> f64 {
     low.iter().zip(high).map(|(l, h)| (h - l).powi(2)).sum::<f64>().sqrt()
 }
 
-/// The number of the connected part that each triangle belongs to.
+/// Returns the index of the connected part that each triangle belongs to.
 fn parts(mesh: &Mesh) -> Vec<u32> {
     let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     for &[a, b, c] in &mesh.triangles {
@@ -85,7 +85,7 @@ fn parts(mesh: &Mesh) -> Vec<u32> {
         .collect()
 }
 
-/// The representative of a vertex's part (union-find); halves the path to it.
+/// Returns the representative of a vertex's part (union-find), and halves the path to it.
 fn root(parent: &mut [u32], mut vertex: u32) -> u32 {
     while parent[vertex as usize] != vertex {
         parent[vertex as usize] = parent[parent[vertex as usize] as usize];
@@ -99,7 +99,7 @@ mod tests {
     use super::*;
     use crate::mesh::fixtures::cube;
 
-    /// A cube with a side of `side` and its least corner at `corner`, turned inside out if `void`.
+    /// Returns a cube with a side of `side` and its least corner at `corner`, turned inside out if `void`.
     fn part(corner: f32, side: f32, void: bool) -> Mesh {
         let mut mesh = cube();
         mesh.positions.iter_mut().for_each(|p| *p = p.map(|x| corner + side * x));

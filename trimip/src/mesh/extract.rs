@@ -16,17 +16,17 @@ use trimip_core::{
     math::compositing::composite, scene::origin::LocalOrigin,
 };
 
-/// Optical depth of a marching step at the density of the surface, unless a level is given. A ray that grazes the
-/// surface within a few steps then has an opacity of about a half.
+/// Optical depth of a marching step at the density of the surface, unless a level is given. With this value, a ray that grazes the surface
+/// over a few steps has an opacity of about a half.
 const DEPTH_AT_SURFACE: f64 = 0.2;
 
 /// Density that fills hidden voids, relative to that of the surface.
 const FILLED: f32 = 2.0;
 
-/// Minimum number of cameras that see a part for it to be kept in contracted space.
+/// Minimum number of cameras that see a part. In contracted space, parts that fewer cameras see are left out.
 const LEAST_CAMERAS: u32 = 3;
 
-/// Number of samples composited for the colour of a vertex, along the line of sight against its normal.
+/// Number of samples that are composited for the colour of a vertex, along a line of sight opposite to its normal.
 const COLOR_SAMPLES: usize = 8;
 
 /// Settings of an extraction.
@@ -40,17 +40,18 @@ pub struct Extraction {
     pub specks: f64,
     /// How far the mesh is simplified.
     pub goal: Goal,
-    /// True to find the colour of every vertex.
+    /// True to compute the colour of every vertex.
     pub colors: bool,
     /// Region to extract. The surface is open where the border of the crop cuts it. [`Crop::None`] extracts the scene's box, or in
     /// contracted space the box around its ball, and closes the surface there.
     pub crop: Crop,
-    /// Parts that fewer cameras see are left out; 0 keeps all. Capped at the number of cameras.
+    /// Minimum number of cameras that see a part; other parts are left out. 0 keeps all; the number of cameras is the upper limit.
     pub least_cameras: u32,
 }
 
 impl Extraction {
-    /// The default extraction of a model: within the crop of its scene, and in contracted space only parts that three cameras see.
+    /// Returns the default extraction of a model: within the crop of its scene, and in contracted space only parts that at least three
+    /// cameras see.
     pub fn of(config: &Config) -> Self {
         let least_cameras = match config.scene.contraction {
             Contraction::None => 0,
@@ -91,17 +92,17 @@ pub struct Extracted {
     pub triangles: usize,
 }
 
-/// The default density of the surface, at which a marching step has an optical depth of 0.2.
+/// Returns the default density of the surface, at which a marching step has an optical depth of 0.2.
 pub fn level_of(config: &Config) -> f64 {
     let renderer = &config.renderer;
-    // Pictures are marched with the step at the end of the schedule.
+    // Rendering marches with the step length at the end of the training schedule.
     DEPTH_AT_SURFACE / (f64::from(config.step_length()) * renderer.step_scale.at(1.0))
 }
 
-/// Extracts the surface of a model. Voids in occupied cells are filled if no line of sight from outside reaches them, in the
-/// directions of `cameras` or, without cameras, in any direction. Parts beyond the crop, or seen by too few cameras, are left out,
-/// and the mesh is open there. Memory use: two layers of the grid, two bits per grid point, and the mesh. `watch` receives the
-/// share of the layers done and returns false to stop; the result is then `None`.
+/// Extracts the surface of a model. Fills voids in occupied cells that no line of sight from outside reaches; the lines have the directions
+/// in which `cameras` look or, without cameras, all directions. Leaves out parts beyond the crop and parts that too few cameras see; the
+/// mesh is open there. Memory use: two layers of the grid, two bits per grid point, and the mesh. `watch` receives the share of the layers
+/// done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
 /// When the settings are out of range, the model has no surface at this level, or the device fails.
@@ -220,7 +221,7 @@ pub fn extract(
     Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, unseen, triangles }))
 }
 
-/// A grid of points over a box, one point larger on every side, so that surfaces end within the grid.
+/// Returns a grid of points over a box, one point larger on every side, so that surfaces end within the grid.
 fn around(aabb: &Aabb<f64>, resolution: u32) -> Grid {
     let spacing = aabb.longest() / f64::from(resolution);
     let cells = aabb.extent().map(|side| (side / spacing - 1e-6).ceil().max(1.0));
@@ -232,7 +233,7 @@ fn around(aabb: &Aabb<f64>, resolution: u32) -> Grid {
     }
 }
 
-/// The colour of each vertex as seen against its normal: volume rendering over two cells on either side.
+/// Returns the colour of each vertex as seen against its normal, by volume rendering over two cells on either side.
 fn colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32; 3]>> {
     let length = 4.0 * spacing / COLOR_SAMPLES as f64;
     let mut colors = Vec::with_capacity(mesh.positions.len());
@@ -253,7 +254,7 @@ fn colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32
         for samples in viewer.query(&queries)?.chunks_exact(COLOR_SAMPLES) {
             let seen = samples.iter().map(|own| (own.density * length as f32, own.rgb, 0.0));
             let pixel = composite(seen, [0.0; 3]);
-            // Where the line of sight is not opaque, the colour is divided by its opacity.
+            // Where the line of sight is not opaque, divide the colour by the opacity.
             let fraction = pixel.opacity.max(1e-6).recip();
             colors.push(pixel.rgb.map(|c| (c * fraction).clamp(0.0, 1.0)));
         }
@@ -275,7 +276,7 @@ mod tests {
         },
     };
 
-    /// A field whose density is e^(k·depth) times the level at a signed depth below a surface.
+    /// A field whose density is LEVEL·e^(GROWTH·depth), where the depth below a surface is signed.
     struct Analytic<F>(F);
 
     /// Density of the surface.
@@ -311,7 +312,7 @@ mod tests {
         }
     }
 
-    /// A model without parameters in the box around `centre` with these half sides, fully occupied.
+    /// Returns a model without parameters in the box around `centre` with these half sides, fully occupied.
     fn model(centre: [f64; 3], half: [f64; 3]) -> Model {
         let mut config = Config::default();
         config.scene.aabb_min = std::array::from_fn(|i| (centre[i] - half[i]) as f32);
@@ -353,8 +354,8 @@ mod tests {
         assert!((19_000..=20_100).contains(&simplified), "{simplified} of {} triangles", found.triangles);
         let euler = found.mesh.positions.len() as i64 - found.mesh.triangles.len() as i64 / 2;
         assert_eq!(euler, 0, "one hole");
-        // Hausdorff distance, from the mesh to the torus and back. Linear interpolation of an exponential errs by
-        // k·h/8 of a cell of width h, and a flat triangle by h²/8r; simplification adds a tenth of a cell.
+        // Hausdorff distance, from the mesh to the torus and back. In a cell of width h, linear interpolation of an exponential errs by
+        // k·h/8 of the width, and a flat triangle by h²/8r; simplification adds a tenth of a cell.
         let bound = found.spacing * (GROWTH * found.spacing / 8.0 + 0.15);
         let places = places(&found.mesh);
         let furthest = places.iter().map(|&p| beyond(p).abs()).fold(0.0, f64::max);
@@ -423,7 +424,7 @@ mod tests {
     #[test]
     fn a_surface_that_leaves_the_box_is_closed_at_it() {
         let bounded = model(CENTRE, [0.5; 3]);
-        // Contracted space continues beyond its middle half, where the mesh ends.
+        // In contracted space the mesh ends at the middle half of the cube, although the field continues.
         let mut contracted = model(CENTRE, [1.0; 3]);
         contracted.config.scene.contraction = Contraction::Ball;
         for model in [bounded, contracted] {

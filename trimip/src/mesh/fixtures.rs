@@ -2,7 +2,7 @@
 
 use super::surface::Mesh;
 
-/// The surface of the unit cube, two triangles a side, normals outward.
+/// Returns the surface of the unit cube, with two triangles per side and normals outward.
 pub fn cube() -> Mesh {
     let positions = (0..8).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(|bit| bit as f32)).collect();
     let sides: [[u32; 4]; 6] =

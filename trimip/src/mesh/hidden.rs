@@ -16,17 +16,17 @@ pub struct Bits {
 }
 
 impl Bits {
-    /// All bits clear.
+    /// Creates a set with all bits clear.
     pub fn new(size: [usize; 3]) -> Self {
         Self { size, words: vec![0; size.iter().product::<usize>().div_ceil(64)] }
     }
 
-    /// Index of a point.
+    /// Returns the index of a point.
     fn index(&self, [x, y, z]: [usize; 3]) -> usize {
         x + self.size[0] * (y + self.size[1] * z)
     }
 
-    /// The bit at an index, x fastest.
+    /// Returns the bit at an index, x fastest.
     pub fn get(&self, index: usize) -> bool {
         self.words[index / 64] >> (index % 64) & 1 == 1
     }
@@ -37,7 +37,7 @@ impl Bits {
     }
 }
 
-/// Directions of the lines of sight: those within the field of view of a camera, or all candidates without cameras.
+/// Returns the directions of the lines of sight: the candidates within the field of view of a camera, or all candidates without cameras.
 pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
     let all = (0..DIRECTIONS).map(towards);
     let sees = |camera: &Camera, direction: &[f64; 3]| {
@@ -50,8 +50,9 @@ pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
     if seen.is_empty() { all.collect() } else { seen }
 }
 
-/// The points that a line of sight in one of the directions reaches from outside of the grid without meeting a point of
-/// `solid`, and the neighbours of these points that are not solid. `threads` = 0: one per core.
+/// Returns the visible points: those that a line of sight in one of the directions reaches from outside the grid
+/// without meeting a point of `solid`, and the neighbours of these points that are not solid. `threads` = 0: one per
+/// core.
 pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     let seen: Vec<AtomicU64> = solid.words.iter().map(|_| AtomicU64::new(0)).collect();
     let next = AtomicUsize::new(0);
@@ -72,7 +73,7 @@ pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     beside(&seen, solid)
 }
 
-/// A direction of an equal-area spiral over the sphere. None is parallel to a plane of the grid.
+/// Returns a direction of an equal-area spiral over the sphere. No direction is parallel to a plane of the grid.
 fn towards(index: usize) -> [f64; 3] {
     let z = 1.0 - (2 * index + 1) as f64 / DIRECTIONS as f64;
     let angle = (index as f64 + 0.77) * std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
@@ -126,7 +127,7 @@ fn follow(solid: &Bits, start: [usize; 3], direction: [f64; 3], seen: &[AtomicU6
     }
 }
 
-/// The points of `seen`, and their neighbours along the axes that are not solid, because lines miss some points.
+/// Returns the points of `seen` and their neighbours along the axes that are not solid; the lines of sight miss some points.
 fn beside(seen: &Bits, solid: &Bits) -> Bits {
     let mut all = seen.clone();
     let [nx, ny, nz] = seen.size;
@@ -155,7 +156,7 @@ mod tests {
     use super::*;
     use trimip_core::Intrinsics;
 
-    /// A box of `n` points a side with walls one point thick around a void, and a hole of `hole` points in one wall.
+    /// Returns a box of `n` points per side: walls one point thick around a void, and a square hole in one wall, `hole` points wide.
     fn hollow(n: usize, hole: usize) -> Bits {
         let mut bits = Bits::new([n; 3]);
         let wall = |c: usize| c == 2 || c == n - 3;
@@ -210,7 +211,8 @@ mod tests {
         let found = directions(&[camera]);
         assert!((2..DIRECTIONS / 4).contains(&found.len()) && found.iter().all(|d| d[2] < -0.8), "{found:?}");
         let seen = visible(&solid, &found, 3);
-        // Lines at 25° or less from the vertical pass the plate, and reach 3.3 points and their neighbours under it.
+        // Lines at up to 25° from the vertical that pass the plate's edge reach points up to 3.3 spacings under it. The
+        // neighbours of these points count as visible too.
         for index in 0..15_usize.pow(3) {
             let [x, y, z] = [index % 15, index / 15 % 15, index / 225];
             let under = z <= 7 && (5..10).contains(&x) && (5..10).contains(&y);

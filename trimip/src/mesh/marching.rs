@@ -1,6 +1,5 @@
-//! Marching cubes (Lorensen and Cline 1987) over a grid that is sampled layer by layer. The triangles of each case
-//! follow from one rule for the faces of a cell. Neighbouring cells apply it alike to their common face, so every
-//! surface is closed and manifold.
+//! Marching cubes (Lorensen and Cline 1987) over a grid that is sampled layer by layer. The triangles of each case follow from one rule for
+//! the faces of a cell. Both cells at a face derive the same lines from this rule, so every surface is closed and manifold.
 
 use super::surface::Mesh;
 use std::sync::LazyLock;
@@ -18,12 +17,12 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Number of points of a layer of equal z.
+    /// Returns the number of points of a layer of equal z.
     pub fn layer(&self) -> usize {
         self.points[0] * self.points[1]
     }
 
-    /// A point by its indices.
+    /// Returns the point with these indices.
     pub fn point(&self, index: [usize; 3]) -> [f64; 3] {
         std::array::from_fn(|axis| self.origin[axis] + self.spacing * index[axis] as f64)
     }
@@ -35,13 +34,12 @@ const NONE: u32 = u32::MAX;
 /// Smallest distance of a vertex from the ends of its edge, as a share of the edge. It keeps triangles from collapsing.
 const MARGIN: f64 = 1e-3;
 
-/// Minimum density for the placement of vertices, as a share of the level; smaller ones count as this share.
+/// Minimum density for the placement of vertices, as a share of the level; smaller densities are raised to it.
 const FLOOR: f64 = 1e-4;
 
-/// Extracts the surface on which a positive field has the value `level`; the field is at least `level` inside. `sample`
-/// fills a layer of points, x fastest; it is called once per layer, in order of z. Two layers are in memory at a time.
-/// Between two points the logarithm of the field is taken as linear. Points on the border of the grid that are
-/// inside leave the surface open there.
+/// Extracts the surface on which a positive field has the value `level`; the field is at least `level` inside. `sample` fills a layer of
+/// points, x fastest; it is called once per layer, in order of z. Two layers are in memory at a time. Between two points the logarithm of
+/// the field is interpolated linearly. Where points on the border of the grid are inside, the surface is open.
 ///
 /// # Errors
 /// The errors of `sample`.
@@ -97,7 +95,7 @@ pub fn march(
     Ok(mesh)
 }
 
-/// Where on an edge from a point of value `from` to one of value `to` the field has the value `level`, in (0, 1).
+/// Returns the position at which the field has the value `level` on an edge between points of the values `from` and `to`, in (0, 1).
 fn crossing(from: f32, to: f32, level: f32) -> f64 {
     let log = |value: f32| f64::from(value / level).max(FLOOR).ln();
     let (from, to) = (log(from), log(to));
@@ -113,23 +111,23 @@ const EDGES: [[u8; 2]; 12] =
 const FACES: [[u8; 4]; 6] =
     [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
 
-/// The triangles of each case, as edges. Bit c of a case is set if corner c is inside.
+/// The triangles of each case, as indices of edges. Bit c of a case is set if corner c is inside.
 static TABLE: LazyLock<Vec<Vec<[u8; 3]>>> = LazyLock::new(|| (0..=255).map(triangles).collect());
 
-/// The edge between two corners.
+/// Returns the edge between two corners.
 fn edge(a: u8, b: u8) -> u8 {
     EDGES.iter().position(|&ends| ends == [a.min(b), a.max(b)]).unwrap_or(0) as u8
 }
 
-/// True if both edges bound one face.
+/// Returns true if both edges bound the same face.
 fn share_a_face(a: u8, b: u8) -> bool {
     let on = |face: &[u8; 4], edge: u8| EDGES[usize::from(edge)].iter().all(|corner| face.contains(corner));
     FACES.iter().any(|face| on(face, a) && on(face, b))
 }
 
-/// The triangles of a case. On every face, each run of corners that are inside is cut off by one line, from the edge
-/// on which the face's border enters the run to the edge on which it leaves. A neighbour sees the same run from the
-/// other side, so both draw the same line in opposite directions. The lines form closed loops.
+/// Returns the triangles of a case. On every face, one line cuts off each run of inside corners: from the edge on which the border of the
+/// face enters the run to the edge on which the border leaves it. The neighbouring cell sees the run from the other side, so both cells
+/// draw the same line in opposite directions. The lines form closed loops.
 fn triangles(case: u8) -> Vec<[u8; 3]> {
     let inside = |corner: u8| case >> corner & 1 == 1;
     let mut next = [None; 12];
@@ -187,7 +185,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A grid of `n` points along each side of the cube [-1, 1]³.
+    /// Returns a grid of `n` points along each side of the cube [-1, 1]³.
     fn cube(n: usize) -> Grid {
         Grid { origin: [-1.0; 3], spacing: 2.0 / (n - 1) as f64, points: [n; 3] }
     }
@@ -216,7 +214,7 @@ mod tests {
             for (&(from, to), &count) in &edges {
                 assert_eq!(count, 1, "case {case}");
                 let back = edges.contains_key(&(to, from));
-                // A line on a face has one triangle in this cell, a diagonal two.
+                // In this cell, a line on a face belongs to one triangle, a diagonal to two.
                 assert_eq!(back, !share_a_face(from, to), "case {case}: {from} to {to}");
             }
             let crossed = EDGES.iter().filter(|[a, b]| (case >> a ^ case >> b) & 1 == 1).count();
@@ -225,8 +223,8 @@ mod tests {
         }
     }
 
-    /// The logarithm of this field is linear in the distance from a sphere, so the vertices lie on the sphere except
-    /// for the curvature within a cell: h²/8r.
+    /// The logarithm of this field is linear in the distance from a sphere, so the vertices lie on the sphere up to the error from the
+    /// curvature within a cell, h²/8r.
     #[test]
     fn a_sphere_has_its_radius_its_volume_and_normals_outward() {
         let (radius, sharpness) = (0.7_f64, 40.0);
@@ -266,7 +264,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Noise produces every case and every ambiguous face. With an empty border its surface is closed.
+        /// Checks noise, which produces every case and every ambiguous face. With an empty border its surface is closed.
         #[test]
         fn noise_has_a_closed_manifold_surface(values in prop::collection::vec(0.0_f32..2.0, 6 * 5 * 7)) {
             let grid = Grid { origin: [0.0; 3], spacing: 1.0, points: [8, 7, 9] };

@@ -22,7 +22,7 @@ pub(super) struct Occupied {
 }
 
 impl Occupied {
-    /// The cells of a model. Contracted space without a crop ends at the box around its ball.
+    /// Reads the occupied cells of a model. Without a crop, contracted space ends at the box around its ball.
     ///
     /// # Errors
     /// When the crop does not meet the scene's box, or the model lacks its occupancy grid.
@@ -46,7 +46,7 @@ impl Occupied {
         Ok(Self { aabb, crop, space, resolution, bits })
     }
 
-    /// True if a point of the world is in the crop and in an occupied cell, where rendering places samples.
+    /// Returns true if a point of the world is in the crop and in an occupied cell, where rendering places samples.
     pub fn holds(&self, point: [f64; 3]) -> bool {
         let position = self.space.to_cube(point);
         if !self.crop.contains(point) || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
@@ -76,7 +76,7 @@ impl Occupied {
     }
 }
 
-/// The common part of two boxes; `None` if there is none.
+/// Returns the intersection of two boxes; `None` if it is empty.
 fn common(a: &Aabb<f64>, b: &Aabb<f64>) -> Option<Aabb<f64>> {
     let part = Aabb {
         min: std::array::from_fn(|axis| a.min[axis].max(b.min[axis])),

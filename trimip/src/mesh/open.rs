@@ -3,12 +3,12 @@
 use super::{Grid, Mesh, seen::Sightings};
 use trimip_core::Crop;
 
-/// Coordinates within this distance of a grid point, in units of the spacing, count as the grid point's. Vertices keep at least a
-/// thousandth of an edge from its ends.
+/// Coordinates closer than this to a grid point, in units of the spacing, count as on the point. Vertices between two points are at least a
+/// thousandth of the edge away from both.
 const ON_POINT: f64 = 4e-4;
 
-/// Removes the triangles on the border of the crop, and those that too few cameras see: fewer at every corner than the number in
-/// `seen`. Returns the number of the latter.
+/// Removes the triangles on the border of the crop and those that too few cameras see: at every corner fewer than the number in `seen`.
+/// Returns the number of triangles with too few cameras.
 pub(super) fn open(mesh: &mut Mesh, grid: &Grid, crop: Crop, seen: Option<(&Sightings, u32)>) -> usize {
     let flags = |test: &dyn Fn([f64; 3]) -> bool| -> Vec<bool> {
         mesh.positions.iter().map(|position| test(position.map(f64::from))).collect()
@@ -24,7 +24,7 @@ pub(super) fn open(mesh: &mut Mesh, grid: &Grid, crop: Crop, seen: Option<(&Sigh
     count
 }
 
-/// True for a vertex on an edge of the grid that the border of the crop crosses.
+/// Returns true for a vertex on an edge of the grid that the border of the crop crosses.
 fn is_cut(position: [f64; 3], grid: &Grid, crop: Crop) -> bool {
     let place: [f64; 3] = std::array::from_fn(|axis| (position[axis] - grid.origin[axis]) / grid.spacing);
     let end = |round: &dyn Fn(f64) -> f64| {

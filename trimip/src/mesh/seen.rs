@@ -7,19 +7,19 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use trimip_core::{Aabb, Camera, Cone};
 
-/// Blocks along the longest side of the grid; cameras are counted for each block.
+/// Number of blocks along the longest side of the grid; cameras are counted for each block.
 const BLOCKS: usize = 64;
 
-/// Lines of sight along the longer side of a picture: several for each block that it shows.
+/// Number of lines of sight (rays) along the longer side of a picture: enough for several per visible block.
 const LINES: u32 = 192;
 
-/// Largest number of cameras used, evenly spread.
+/// Maximum number of cameras that are used, evenly spread over all cameras.
 const MOST_CAMERAS: usize = 128;
 
 /// The number of cameras that see each block of a grid.
 pub struct Sightings {
     grid: Grid,
-    /// Points along each side of a block.
+    /// Number of points along each side of a block.
     side: usize,
     blocks: [usize; 3],
     counts: Vec<u16>,
@@ -54,7 +54,7 @@ impl Sightings {
         own
     }
 
-    /// Number of cameras that see a point of the world: the greatest count of the eight nearest blocks.
+    /// Returns the number of cameras that see a point of the world: the greatest count of the eight nearest blocks.
     pub fn at(&self, point: [f64; 3]) -> u16 {
         let corner: [f64; 3] = std::array::from_fn(|axis| {
             (point[axis] - self.grid.origin[axis]) / (self.grid.spacing * self.side as f64) - 0.5
@@ -73,7 +73,7 @@ impl Sightings {
         x + self.blocks[0] * (y + self.blocks[1] * z)
     }
 
-    /// True for each block in which a line of sight of the camera ends.
+    /// Returns true for each block in which a line of sight of the camera ends.
     fn seen_by(&self, solid: &Bits, camera: &Camera) -> Vec<bool> {
         let k = &camera.intrinsics;
         let mut seen = vec![false; self.blocks.iter().product()];
@@ -93,11 +93,11 @@ impl Sightings {
         seen
     }
 
-    /// The first solid point of the grid along a line of sight. Steps from face to face of the cells around the points (Amanatides
+    /// Returns the first solid point of the grid along a line of sight. Steps from face to face of the cells around the points (Amanatides
     /// and Woo 1987).
     fn first(&self, solid: &Bits, cone: &Cone<f64>) -> Option<[usize; 3]> {
         let Grid { origin, spacing, points } = self.grid;
-        // In units of the spacing, a cell reaches from its index to the next one.
+        // In these units of the spacing, the cell around a grid point spans from its index to the next index.
         let start: [f64; 3] = std::array::from_fn(|axis| (cone.origin[axis] - origin[axis]) / spacing + 0.5);
         let whole = Aabb { min: [0.0; 3], max: points.map(|count| count as f64) };
         let (enter, leave) = whole.intersect(start, cone.direction);
@@ -156,7 +156,7 @@ mod tests {
 
     #[test]
     fn cameras_see_the_side_that_faces_them_and_nothing_behind_it() {
-        // Two walls across x. From the left, the left one hides the right one.
+        // Two walls across the x axis. Seen from the left, the left wall hides the right one.
         let walls = solid(|p| (p.x + 0.5).abs() < 0.05 || (p.x - 0.5).abs() < 0.05);
         let left = looking(DVec3::new(-3.0, 0.05, 0.1), DVec3::ZERO);
         let right = looking(DVec3::new(3.0, 0.05, 0.1), DVec3::ZERO);

@@ -7,9 +7,9 @@ use trimip_core::{Camera, Frames, Result};
 /// Distance of the near plane along the optical axis, relative to that of the farthest vertex.
 const NEAR: f64 = 1e-4;
 
-/// Distance along the optical axis of the nearest triangle at the centre of each pixel, row by row, world units;
-/// infinite where there is none. Both sides of a triangle are drawn. A pixel centre on the edge of two triangles
-/// belongs to both.
+/// Returns the distance along the optical axis to the nearest triangle at the centre of each pixel, row by row, world
+/// units; infinite where there is no triangle. Both sides of a triangle are drawn. A pixel centre on the edge of two
+/// triangles belongs to both.
 pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
     let k = camera.intrinsics;
     let (width, height) = (k.width as usize, k.height as usize);
@@ -85,15 +85,15 @@ fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, depths: &mut [f32])
 pub struct Overlap {
     /// Views compared.
     pub views: usize,
-    /// Mean over the views of |both| / |either|.
+    /// Mean intersection over union (IoU) of silhouette and mask over the views.
     pub mean: f64,
-    /// Smallest value of a view.
+    /// Smallest IoU of a view.
     pub least: f64,
 }
 
-/// Compares the silhouettes of a mesh with the masks of every `stride`-th frame: intersection over union of the pixels
-/// that the mesh covers and those with an alpha of at least a half. `None` if no photograph's alpha is an opacity with
-/// both opaque and transparent pixels.
+/// Compares the silhouettes of a mesh with the masks of every `stride`-th frame, by the intersection over union of the
+/// pixels that the mesh covers and the pixels with an alpha of at least a half. `None` if no photograph has an alpha
+/// channel that means opacity, with both opaque and transparent pixels.
 ///
 /// # Errors
 /// When a photograph cannot be read.

@@ -1,5 +1,5 @@
-//! Simplification by quadric error (Garland and Heckbert 1997), with `meshopt-rs`, and repair of the edges that it
-//! leaves with more than two triangles.
+//! Simplification by quadric error (Garland and Heckbert 1997), with `meshopt-rs`, and repair of the edges that have
+//! more than two triangles afterwards.
 
 use super::surface::Mesh;
 use glam::DVec3;
@@ -38,15 +38,15 @@ pub fn simplify(mesh: &mut Mesh, goal: Goal) {
     mesh.drop_unused();
 }
 
-/// A triangle's side: the triangle, and which of its corners the side starts at.
+/// A side of a triangle: the triangle, and the corner at which the side starts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Side {
     triangle: usize,
     corner: usize,
 }
 
-/// Makes the mesh manifold: every edge belongs to two triangles and every vertex to one fan. Several triangles on an
-/// edge are paired so that each pair encloses solid.
+/// Makes the mesh manifold: every edge belongs to two triangles and every vertex to one fan. If an edge has more
+/// triangles, pairs them so that each pair encloses solid space.
 fn separate(mesh: &mut Mesh) {
     cancel(mesh);
     part_fans(mesh);
@@ -56,7 +56,7 @@ fn separate(mesh: &mut Mesh) {
 
 /// Removes pairs of triangles with the same vertices in opposite order: nothing lies between the two.
 fn cancel(mesh: &mut Mesh) {
-    // The first corner is the least, so a triangle's back is [a, c, b].
+    // Rotated so that the least corner is first; the triangle [a, b, c] in the opposite order is then [a, c, b].
     let turned = |triangle: [u32; 3]| {
         let first = (0..3).min_by_key(|&corner| triangle[corner]).expect("three corners");
         std::array::from_fn(|i| triangle[(first + i) % 3])
@@ -76,7 +76,7 @@ fn cancel(mesh: &mut Mesh) {
     });
 }
 
-/// The sides along each edge, in the order of the edges.
+/// Returns the sides along each edge, sorted by edge.
 fn sides(mesh: &Mesh) -> Vec<([u32; 2], Vec<Side>)> {
     let mut edges: HashMap<[u32; 2], Vec<Side>> = HashMap::with_capacity(2 * mesh.triangles.len());
     for (triangle, vertices) in mesh.triangles.iter().enumerate() {
@@ -90,7 +90,7 @@ fn sides(mesh: &Mesh) -> Vec<([u32; 2], Vec<Side>)> {
     edges
 }
 
-/// Adds the midpoint of two vertices, or a copy of one given twice; returns its index.
+/// Adds the midpoint of two vertices, or a copy of the vertex if both are the same; returns the index of the new vertex.
 fn middle(mesh: &mut Mesh, [a, b]: [u32; 2]) -> u32 {
     let [a, b] = [a as usize, b as usize];
     let mean = |list: &[[f32; 3]]| std::array::from_fn(|i| 0.5 * (list[a][i] + list[b][i]));
@@ -159,7 +159,7 @@ fn divide_edges(mesh: &mut Mesh) -> bool {
     any
 }
 
-/// The triangles on an edge, two by two in opposite directions.
+/// Returns the triangles on an edge in pairs that run along it in opposite directions.
 fn pairs(mesh: &Mesh, [a, b]: [u32; 2], sides: &[Side]) -> Vec<[Side; 2]> {
     let forward = |side: &Side| mesh.triangles[side.triangle][side.corner] == a;
     let (ahead, mut back): (Vec<Side>, Vec<Side>) = sides.iter().partition(|side| forward(side));
@@ -175,7 +175,7 @@ fn pairs(mesh: &Mesh, [a, b]: [u32; 2], sides: &[Side]) -> Vec<[Side; 2]> {
         third.dot(axis.cross(across)).atan2(third.dot(across))
     };
     // A triangle that runs along the axis has the outside at greater angles and the solid at smaller ones. Towards
-    // smaller angles, the solid ends at the next triangle that runs back.
+    // smaller angles, the solid ends at the next triangle that runs in the opposite direction.
     let turn = |from: f64, to: f64| (to - from).rem_euclid(std::f64::consts::TAU);
     let mut found = Vec::new();
     for one in ahead {
@@ -189,7 +189,7 @@ fn pairs(mesh: &Mesh, [a, b]: [u32; 2], sides: &[Side]) -> Vec<[Side; 2]> {
     found
 }
 
-/// The representative of a corner's fan (union-find); halves the path to it.
+/// Returns the representative of a corner's fan (union-find), and halves the path to it.
 fn root(joined: &mut [usize], mut corner: usize) -> usize {
     while joined[corner] != corner {
         joined[corner] = joined[joined[corner]];
@@ -204,11 +204,11 @@ mod tests {
     use crate::mesh::{Defects, Grid, fixtures::cube, march};
     use proptest::prelude::*;
 
-    /// Two cubes that touch along an edge, with common vertices on it.
+    /// Returns two cubes that touch along an edge and share the vertices on it.
     fn touching() -> Mesh {
         let mut mesh = cube();
         let second = cube();
-        // Moved by (1, 1, 0): its edge from 0 to 4 lies on the first one's edge from 3 to 7.
+        // The second cube is moved by (1, 1, 0): its edge from 0 to 4 lies on the first cube's edge from 3 to 7.
         mesh.positions.extend(second.positions.iter().map(|[x, y, z]| [x + 1.0, y + 1.0, *z]));
         let renamed = |vertex: u32| match vertex {
             0 => 3,
@@ -245,7 +245,7 @@ mod tests {
     #[test]
     fn triangles_back_to_back_vanish() {
         let mut mesh = cube();
-        // A flap on the edge from 0 to 1, seen from both sides.
+        // A flap on the edge from 0 to 1, with a triangle for each of its sides.
         mesh.positions.push([0.5, -1.0, 0.0]);
         mesh.triangles.extend([[0, 8, 1], [8, 0, 1]]);
         separate(&mut mesh);
@@ -256,7 +256,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
-        /// Simplified noise has many sheets that collapse onto each other.
+        /// Checks simplified noise, which has many sheets that collapse onto each other.
         #[test]
         fn simplified_noise_is_closed_and_manifold(
             values in prop::collection::vec(0.0_f32..2.0, 10 * 10 * 10),

@@ -21,9 +21,9 @@ pub struct Mesh {
 /// Defects that keep a mesh from being a closed, oriented surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Defects {
-    /// Edges of a single triangle.
+    /// Edges that belong to only one triangle.
     pub open: usize,
-    /// Edges of more than two triangles.
+    /// Edges that belong to more than two triangles.
     pub crowded: usize,
     /// Edges whose two triangles run along them in the same direction.
     pub twisted: usize,
@@ -32,17 +32,17 @@ pub struct Defects {
 }
 
 impl Mesh {
-    /// Positions of a triangle's vertices.
+    /// Returns the positions of a triangle's vertices.
     pub fn corners(&self, triangle: [u32; 3]) -> [[f64; 3]; 3] {
         triangle.map(|vertex| self.positions[vertex as usize].map(f64::from))
     }
 
-    /// Enclosed volume; negative if the normals point inward. Meaningful for a closed mesh.
+    /// Returns the enclosed volume; negative if the normals point inward. Meaningful only for a closed mesh.
     pub fn volume(&self) -> f64 {
         self.triangles.iter().map(|&triangle| signed_volume(self.corners(triangle))).sum()
     }
 
-    /// Corners of the smallest box around all vertices; `None` without vertices.
+    /// Returns the corners of the smallest box around all vertices; `None` without vertices.
     pub fn bounds(&self) -> Option<[[f32; 3]; 2]> {
         self.positions.iter().fold(None, |bounds, &p| {
             let [low, high] = bounds.unwrap_or([p, p]);
@@ -103,7 +103,7 @@ impl Mesh {
         self.drop_unused();
     }
 
-    /// Drops vertices that no triangle uses; the order of the others stays.
+    /// Drops vertices that no triangle uses; the other vertices keep their order.
     pub fn drop_unused(&mut self) {
         let mut used = vec![false; self.positions.len()];
         self.triangles.iter().flatten().for_each(|&vertex| used[vertex as usize] = true);
@@ -128,13 +128,13 @@ impl Mesh {
     }
 }
 
-/// Volume of the tetrahedron between a triangle and the origin.
+/// Returns the signed volume of the tetrahedron between a triangle and the origin.
 pub(super) fn signed_volume([a, b, c]: [[f64; 3]; 3]) -> f64 {
     let [a, b, c] = [a, b, c].map(glam::DVec3::from_array);
     a.dot(b.cross(c)) / 6.0
 }
 
-/// Normal of a triangle with the length of its area.
+/// Returns the normal of a triangle, whose length is the triangle's area.
 fn area_vector([a, b, c]: [[f64; 3]; 3]) -> [f64; 3] {
     let [a, b, c] = [a, b, c].map(glam::DVec3::from_array);
     (0.5 * (b - a).cross(c - a)).to_array()

@@ -1,6 +1,7 @@
 //! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them. Positions keep the
 //! units and axes of the scene; viewers of glTF take its y axis as up, whatever the scene's up axis is. Positions far from the origin of
-//! the coordinates need 64 bits: a PLY then has doubles, an OBJ all digits, a GLB a node that translates its vertices.
+//! the coordinates need 64 bits: a PLY file then stores doubles, an OBJ file all digits, and a GLB file a node that translates the
+//! vertices.
 
 use super::surface::Mesh;
 use serde_json::json;
@@ -20,7 +21,7 @@ pub enum MeshFormat {
 }
 
 impl MeshFormat {
-    /// The format of a file name's extension.
+    /// Returns the format that the extension of a file name stands for.
     ///
     /// # Errors
     /// When the extension is none of the three.
@@ -45,16 +46,16 @@ pub enum Coordinates {
     Local,
 }
 
-/// Writes a mesh atomically, in the format that the file name states and in the coordinates of the photographs; returns the size of
-/// the file in bytes.
+/// Writes a mesh atomically, in the format of the file name's extension and in the coordinates of the photographs; returns the size of the
+/// file in bytes.
 ///
 /// # Errors
-/// When the name states no format, the mesh is empty, or the file cannot be written.
+/// When the extension stands for no format, the mesh is empty, or the file cannot be written.
 pub fn write(mesh: &Mesh, path: &Path) -> Result<u64> {
     write_in(mesh, Coordinates::Stated, path)
 }
 
-/// As [`write()`], in these coordinates.
+/// Like [`write()`], in the given coordinates.
 ///
 /// # Errors
 /// As [`write()`].
@@ -68,19 +69,19 @@ pub fn write_in(mesh: &Mesh, coordinates: Coordinates, path: &Path) -> Result<u6
     Ok(bytes.len() as u64)
 }
 
-/// A colour in 8 bits.
+/// Rounds a colour to 8 bits.
 fn eight_bits(color: [f32; 3]) -> [u8; 3] {
     color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
 }
 
-/// The comment with the offset of a file in local coordinates, without the format's comment marker.
+/// Returns the comment that states the offset of a file in local coordinates, without the format's comment marker.
 fn offset(mesh: &Mesh, coordinates: Coordinates) -> Option<String> {
     let [x, y, z] = mesh.origin.numbers();
     let wanted = coordinates == Coordinates::Local && !mesh.origin.is_zero();
     wanted.then(|| format!("offset {x} {y} {z} is to be added to all positions"))
 }
 
-/// The positions in the photographs' coordinates, if these are to be written and do not fit into 32 bits.
+/// Returns the positions in the photographs' coordinates, if these are requested and do not fit into 32 bits.
 fn in_64_bits(mesh: &Mesh, coordinates: Coordinates) -> Option<impl Iterator<Item = [f64; 3]>> {
     let wanted = coordinates == Coordinates::Stated && !mesh.origin.is_zero();
     wanted.then(|| mesh.positions.iter().map(|position| mesh.origin.stated(position.map(f64::from))))
@@ -121,7 +122,7 @@ fn ply(mesh: &Mesh, coordinates: Coordinates) -> Vec<u8> {
     bytes
 }
 
-/// The bytes of three floats, little-endian.
+/// Returns the bytes of three floats, little-endian.
 fn bytemuck_of(values: &[f32; 3]) -> impl Iterator<Item = u8> + use<> {
     values.map(f32::to_le_bytes).into_iter().flatten()
 }
@@ -238,7 +239,7 @@ fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// An sRGB value as linear light (IEC 61966-2-1).
+/// Converts an sRGB value to linear light (IEC 61966-2-1).
 fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }

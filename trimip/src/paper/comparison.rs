@@ -29,7 +29,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// The runs of a table's cell: a system on a scene, all seeds.
+    /// Returns the runs of a cell of a table: a system on a scene, with all seeds.
     pub fn runs_of(&self, scales: Scales, scene: &str, system: &str) -> Vec<&Run> {
         self.runs
             .iter()
@@ -37,7 +37,7 @@ impl Comparison {
             .collect()
     }
 
-    /// One row per system of a scene.
+    /// Returns one row per system for a scene.
     pub fn scene_rows(&self, scales: Scales, scene: &str) -> Vec<TableRow> {
         self.systems
             .iter()
@@ -45,7 +45,7 @@ impl Comparison {
             .collect()
     }
 
-    /// One row per system: the mean over the scenes of each scene's mean.
+    /// Returns one row per system for the whole comparison: the mean over the scenes of each scene's mean.
     pub fn whole_rows(&self, scales: Scales) -> Vec<TableRow> {
         let of_system = |system: &&'static System| {
             let rows: Vec<TableRow> = self
@@ -58,13 +58,13 @@ impl Comparison {
         self.systems.iter().map(of_system).collect()
     }
 
-    /// True if the scenes are the eight of the papers' tables.
+    /// Returns true if the scenes are the eight of the papers' tables.
     pub fn is_whole_set(&self) -> bool {
         let all = trimip_data::BLENDER_SCENES;
         self.scenes.len() == all.len() && all.iter().all(|name| self.scenes.iter().any(|own| own == name))
     }
 
-    /// The runs that failed.
+    /// Returns the runs that failed.
     pub fn failed(&self) -> impl Iterator<Item = (&Run, &str)> {
         self.runs.iter().filter_map(|run| match &run.status {
             Status::Failed(reason) => Some((run, reason.as_str())),
@@ -72,7 +72,7 @@ impl Comparison {
         })
     }
 
-    /// Number of runs that are waiting or stopped.
+    /// Returns the number of runs that are waiting or stopped.
     pub fn open(&self) -> usize {
         self.runs.iter().filter(|run| matches!(run.status, Status::Waiting | Status::Stopped)).count()
     }

@@ -34,7 +34,7 @@ pub struct Figures {
     pub steps: u64,
     /// Samples kept.
     pub samples: u64,
-    /// Number of trained parameters: of the encoder, of the networks.
+    /// Numbers of trained parameters: of the encoder and of the networks.
     pub parameters: [u64; 2],
     /// Size of the model file, bytes.
     pub model_bytes: Option<u64>,
@@ -45,7 +45,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// The figures of a run that was trained and evaluated; `None` if it was not.
+    /// Returns the figures of a run; `None` if the run was not trained and evaluated.
     pub fn of(trained: &Trained) -> Option<Self> {
         let (history, config) = (&trained.history, &trained.config);
         let last = history.last()?;
@@ -73,7 +73,7 @@ impl Figures {
     }
 }
 
-/// Number of trained parameters of the encoder and of the networks.
+/// Returns the number of trained parameters of the encoder and of the networks.
 fn parameters(config: &Config) -> [u64; 2] {
     let layout = Layout::new(config);
     [layout.encoder(), layout.networks()].map(|slots| slots.iter().map(|slot| slot.range.len() as u64).sum())

@@ -9,7 +9,7 @@ use trimip_core::{
     measures::quality::{Measures, ScaleQuality, mean_quality},
 };
 
-/// A finished run of the system with these PSNRs.
+/// Returns a finished run of the system with these PSNRs.
 pub fn run(system: &str, scene: &str, seed: u64, psnr: [f64; 2]) -> Run {
     let quality = |scale, psnr| ScaleQuality {
         scale,

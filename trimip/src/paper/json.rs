@@ -5,7 +5,7 @@ use crate::systems::published::{CONVENTION, PUBLISHED, REMARKS};
 use serde_json::{Value, json};
 use trimip_core::{Error, Result};
 
-/// The comparison as JSON text.
+/// Returns the comparison as JSON text.
 ///
 /// # Errors
 /// When a value cannot be written as JSON.

@@ -1,4 +1,4 @@
-//! Means as tables of papers form them: over the seeds of a scene, then over the scenes.
+//! Means as in the tables of papers: over the seeds of a scene, then over the scenes.
 
 use super::figures::Figures;
 use super::runs::{Run, Scales, Status};
@@ -15,9 +15,9 @@ pub struct TableRow {
     pub system: &'static str,
     /// Title of the system.
     pub title: &'static str,
-    /// Number of scenes in the mean, and of all scenes.
+    /// Number of scenes in the mean, and number of all scenes.
     pub scenes: [usize; 2],
-    /// Number of runs in the mean, and of all runs.
+    /// Number of runs in the mean, and number of all runs.
     pub runs: [usize; 2],
     /// Runs that failed.
     pub failed: usize,
@@ -26,7 +26,7 @@ pub struct TableRow {
     /// The figures.
     #[serde(flatten)]
     pub cell: Cell,
-    /// The corresponding published figure, dB: the one of *lego* in the row of *lego*, the mean of the eight scenes in the row of their
+    /// Published figure to compare with, dB: that of *lego* in the row of *lego*, that of the mean of the eight scenes in the row of their
     /// means. Smaller variants have none.
     pub published: Option<f64>,
 }
@@ -36,7 +36,7 @@ pub struct TableRow {
 pub struct Cell {
     /// Mean PSNR of the scales, dB.
     pub psnr: f64,
-    /// Mean PSNR without the edge exponents of the set, dB, as published figures are measured.
+    /// Mean PSNR without the set's edge exponents, dB; published figures are measured without them.
     pub plain: f64,
     /// Difference between the best and the worst seed, dB.
     pub spread: f64,
@@ -91,7 +91,7 @@ impl Cell {
         }
     }
 
-    /// Means of cells; NaN without cells, and for values that are unknown in any cell.
+    /// Returns the means of cells; NaN without cells, and for values that are unknown in any cell.
     fn mean(cells: &[Self]) -> Self {
         let mean = |value: fn(&Self) -> f64| mean(cells.iter().map(value));
         Self {
@@ -115,12 +115,12 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
     sum / count as f64
 }
 
-/// The published row that a system is compared with; smaller variants have none.
+/// Returns the published row that a system is compared with; smaller variants have none.
 fn quoted(system: &System) -> Option<&'static Published> {
     system.published().filter(|_| system.kind != Kind::Smaller)
 }
 
-/// The row of a system on a scene: the mean of its seeds.
+/// Returns the row of a system on a scene: the mean of its seeds.
 pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&Run]) -> TableRow {
     let known: Vec<&Figures> = runs.iter().filter_map(|run| run.figures.as_ref()).collect();
     let cells: Vec<Cell> = known.iter().map(|figures| Cell::of(figures)).collect();
@@ -149,7 +149,7 @@ pub fn scene_row(system: &'static System, scales: Scales, scene: &str, runs: &[&
     }
 }
 
-/// The mean over the scenes of each scene's mean. `whole_set` is true for the eight scenes of the papers.
+/// Returns the mean over the scenes of each scene's mean. `whole_set` is true for the eight scenes of the papers.
 pub fn whole_row(system: &'static System, scales: Scales, rows: &[TableRow], whole_set: bool) -> TableRow {
     let known: Vec<&TableRow> = rows.iter().filter(|row| row.runs[0] > 0).collect();
     let sum = |pick: fn(&TableRow) -> usize| rows.iter().map(pick).sum::<usize>();
@@ -179,9 +179,9 @@ pub fn whole_row(system: &'static System, scales: Scales, rows: &[TableRow], who
     }
 }
 
-/// The mean of curves. Curves with equally many points are averaged point by point. Others are averaged at the times of the curve
-/// with the fewest points that all curves reach, and interpolated linearly over the logarithm of time. `None` without curves or
-/// without such a time.
+/// Returns the mean of curves. Curves with equally many points are averaged point by point. Otherwise the result has the times of the curve
+/// with the fewest points, as far as all curves reach them; the curves are interpolated linearly over the logarithm of time. `None` without
+/// curves or without such a time.
 pub fn mean_curve(curves: &[&[Measure]]) -> Option<Vec<Measure>> {
     let fewest = curves.iter().min_by_key(|curve| curve.len())?;
     let points: Vec<Measure> = if curves.iter().all(|curve| curve.len() == fewest.len()) {
@@ -200,7 +200,7 @@ pub fn mean_curve(curves: &[&[Measure]]) -> Option<Vec<Measure>> {
     (!points.is_empty()).then_some(points)
 }
 
-/// A curve's PSNR at a time; `None` outside of the curve. A time within 1 % of a point returns that point's PSNR.
+/// Returns a curve's PSNR at a time; `None` outside of the curve. Within 1 % of a point's time it is that point's PSNR.
 fn between(curve: &[Measure], seconds: f64) -> Option<f64> {
     let near = |point: &&Measure| (point.seconds - seconds).abs() <= 0.01 * seconds;
     if let Some(point) = curve.iter().find(near) {
@@ -260,7 +260,7 @@ mod tests {
         let point = |seconds, psnr| Measure { seconds, psnr };
         let (a, b) = ([point(1.0, 20.0), point(2.0, 22.0)], [point(3.0, 30.0), point(4.0, 34.0)]);
         assert_eq!(mean_curve(&[&a, &b]), Some(vec![point(2.0, 25.0), point(3.0, 28.0)]));
-        // The curve with more points is read at the times of the other that both reach; here halfway in the logarithm.
+        // The curve with more points is interpolated at the times of the other curve that both reach; here halfway in the logarithm.
         let (long, short) =
             ([point(1.0, 20.0), point(4.0, 24.0), point(16.0, 30.0)], [point(8.0, 20.0), point(30.0, 40.0)]);
         assert_eq!(mean_curve(&[&long[..], &short[..]]), Some(vec![point(8.0, 23.5)]));

@@ -15,12 +15,12 @@ pub enum Scales {
 }
 
 impl Scales {
-    /// Number of scales: `data.scales`.
+    /// Returns the number of scales: `data.scales`.
     pub fn count(self) -> u32 {
         if self == Self::Four { 4 } else { 1 }
     }
 
-    /// Title of the table.
+    /// Returns the title of the table.
     pub fn title(self) -> &'static str {
         if self == Self::Four { "Multi-scale" } else { "Single-scale" }
     }
@@ -37,7 +37,7 @@ pub enum Status {
     Stopped,
     /// Trained and evaluated.
     Finished,
-    /// Why it failed, one line.
+    /// Failed, with the reason in one line.
     Failed(String),
 }
 

@@ -24,7 +24,7 @@ fn column(head: impl Into<String>, text: impl Fn(&TableRow) -> String + 'static)
     Column { head: head.into(), text: Box::new(text), value: None }
 }
 
-/// A column whose greatest value is the best.
+/// Returns a column whose greatest value is the best.
 fn compared(
     head: impl Into<String>,
     digits: usize,
@@ -46,7 +46,7 @@ fn known(value: f64, text: impl Fn(f64) -> String) -> String {
     if value.is_finite() { text(value) } else { "–".into() }
 }
 
-/// The columns of a table of these rows, without the column of system names.
+/// Returns the columns of a table of these rows, without the column of system names.
 pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
     let mut columns = Vec::new();
     let factors = rows.iter().map(|row| &row.scales).max_by_key(|scales| scales.len());
@@ -97,7 +97,7 @@ pub fn columns(scales: Scales, rows: &[TableRow]) -> Vec<Column> {
     columns
 }
 
-/// Heads of the table of published figures.
+/// Returns the column heads of the table of published figures.
 pub fn published_columns(scales: Scales) -> Vec<&'static str> {
     match scales {
         Scales::Four => vec![
@@ -121,7 +121,7 @@ pub fn published_columns(scales: Scales) -> Vec<&'static str> {
     }
 }
 
-/// The test views and the sources of a table's published figures.
+/// Returns the test views and the sources of a table's published figures.
 pub fn published_caption(scales: Scales) -> String {
     let on = match scales {
         Scales::Four => format!("on {CONVENTION}"),
@@ -130,7 +130,7 @@ pub fn published_caption(scales: Scales) -> String {
     format!("means of the eight Blender scenes, 200 test views each, {on}. {SOURCES}")
 }
 
-/// The published rows that have figures for the table, as text below [`published_columns`].
+/// Returns the published rows that have figures for the table, as text for the columns of [`published_columns`].
 pub fn published_cells(scales: Scales) -> Vec<Vec<String>> {
     let db = |value: Option<f64>| value.map_or("–".into(), |value| format!("{value:.2}"));
     let megabytes = |row: &Published| row.megabytes.map_or("–".into(), |mb| format!("{mb} MB"));
@@ -160,7 +160,7 @@ pub fn published_cells(scales: Scales) -> Vec<Vec<String>> {
     PUBLISHED.iter().filter(there).map(row).collect()
 }
 
-/// `paper.md`: every table, the published figures and the remarks on them.
+/// Returns the text of `paper.md`: every table, the published figures and the remarks on them.
 pub fn markdown(comparison: &Comparison) -> String {
     let mut text = "# Systems side by side\n\n".to_string();
     text += &format!(
@@ -212,7 +212,7 @@ pub fn markdown(comparison: &Comparison) -> String {
     text
 }
 
-/// `paper.tex`: the tables of measurements, for the LaTeX package booktabs.
+/// Returns the text of `paper.tex`: the tables of measurements, for the LaTeX package booktabs.
 pub fn latex(comparison: &Comparison) -> String {
     let mut text = "% \\usepackage{booktabs}\n".to_string();
     let mut add = |title: String, scales: Scales, rows: &[TableRow]| {
@@ -233,7 +233,7 @@ fn table(scales: Scales, rows: &[TableRow]) -> String {
     lines(&cells(scales, rows))
 }
 
-/// Header and rows of a table, the system's name first.
+/// Returns the header and rows of a table, with the system's name in the first column.
 fn cells(scales: Scales, rows: &[TableRow]) -> Vec<Vec<String>> {
     let columns = columns(scales, rows);
     let mut cells = vec![vec!["system".to_string()]];
@@ -246,7 +246,7 @@ fn cells(scales: Scales, rows: &[TableRow]) -> Vec<Vec<String>> {
     cells
 }
 
-/// Rows as a Markdown table; the first is the header.
+/// Returns rows as a Markdown table; the first row is the header.
 fn lines(rows: &[Vec<String>]) -> String {
     let mut text = String::new();
     for (i, row) in rows.iter().enumerate() {

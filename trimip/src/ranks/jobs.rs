@@ -22,10 +22,10 @@ const NO_MORE: u64 = u64::MAX;
 /// Number of jobs that a rank has at a time, so that it begins the next one without waiting.
 const AHEAD: usize = 2;
 
-/// How long rank 0 waits between two looks for results.
+/// Time between two checks of rank 0 for results.
 const NAP: Duration = Duration::from_millis(1);
 
-/// A description of jobs for [`scatter_jobs`] and [`work_on_jobs`]: a hash of `parts`.
+/// Returns a hash of `parts`, as the description of jobs for [`scatter_jobs`] and [`work_on_jobs`].
 pub fn digest(parts: impl IntoIterator<Item = String>) -> String {
     format!("{:016x}", fingerprint::hash_of(parts))
 }
@@ -55,13 +55,13 @@ struct State<T> {
     abandoned: bool,
     /// Results by the index of their job.
     done: BTreeMap<usize, Result<T>>,
-    /// The error that prevents results of other ranks.
+    /// Error after which no results of other ranks can arrive.
     broken: Option<Error>,
 }
 
-/// Does `jobs` on all ranks: rank 0 calls it, while the others [`follow`](super::follow). `what` describes the jobs and has to be
-/// the same on every rank. `own` does a job on this rank, while another thread hands out jobs to the others. `take` receives the
-/// results in the order of the jobs and returns false to stop. No job is handed out once `going` returns false.
+/// Does `jobs` on all ranks: rank 0 calls this function, while the others [`follow`](super::follow). `what` describes the jobs and has to
+/// be the same on every rank. `own` does a job on this rank, while another thread hands out jobs to the others. `take` receives the results
+/// in the order of the jobs and returns false to stop. No job is handed out once `going` returns false.
 ///
 /// # Errors
 /// The first error of a job or of `take`, or when another rank is gone.
@@ -87,7 +87,7 @@ pub fn scatter_jobs<T: DeserializeOwned + Serialize + Send>(
     })
 }
 
-/// Closes a queue when dropped, also in a panic: the thread that serves other ranks ends only after that.
+/// Closes a queue when dropped, also during a panic: the thread that serves other ranks ends only once the queue is closed.
 struct Closing<'a, 'b, T>(&'a JobQueue<'b, T>);
 
 impl<T> Drop for Closing<'_, '_, T> {
@@ -101,7 +101,7 @@ impl<T: DeserializeOwned + Send> JobQueue<'_, T> {
     /// Hands out jobs and receives results until there are no more.
     fn serve(&self, ranks: &dyn Ranks, what: &str) -> Result<()> {
         let others = 1..ranks.rank().size;
-        // Every rank answers once whether it has these jobs, and then sends the result of each job that it gets.
+        // Every rank first answers whether its jobs are the same as these, and then sends the result of each job that it gets.
         let (mut waiting, mut unready) = (others.len(), others.len());
         let hand_out = |rank, waiting: &mut usize| -> Result<()> {
             if let Some(place) = self.next() {
@@ -226,7 +226,7 @@ fn read<T: DeserializeOwned>(rank: usize, bytes: &[u8]) -> Result<(usize, Result
 /// Does the jobs that rank 0 hands to this rank, until there are no more.
 ///
 /// # Errors
-/// When rank 0 is gone. The errors of jobs are sent to rank 0, and so is an error if its jobs are not those that `what` describes.
+/// When rank 0 is gone. Errors of jobs are sent to rank 0, and also an error if the jobs of rank 0 are not those that `what` describes.
 pub fn work_on_jobs<T: Serialize>(
     ranks: &dyn Ranks,
     what: &str,

@@ -16,7 +16,7 @@ struct Lead {
     ranks: Arc<dyn Ranks>,
 }
 
-/// As [`backends::train`], on all ranks: rank 0 calls it, while the others [`follow`](super::follow).
+/// Like [`backends::train`], on all ranks: rank 0 calls this function, while the others [`follow`](super::follow).
 ///
 /// # Errors
 /// As [`backends::train_over`].
@@ -27,7 +27,7 @@ pub fn train(config: &Config, views: ViewSet, ranks: &Arc<dyn Ranks>) -> Result<
     Order::Train { version: machine::version(), config: config.to_toml(), data, computes }.give(&**ranks)?;
     // Closes the session on all ranks when dropped, also if one of them cannot open it.
     let lead: Box<dyn Session> = Box::new(Lead { session, ranks: Arc::clone(ranks) });
-    // Waits for all ranks, so that the time of the first step does not include their reading of data.
+    // Waits for all ranks, so that the time of the first step does not include the time in which they read their data.
     let mut refused = None;
     for _ in 1..ranks.rank().size {
         let (rank, answer) = ranks.receive()?;

@@ -27,12 +27,11 @@ pub fn dismiss(ranks: &dyn Ranks) -> Result<()> {
     Order::Quit.give(ranks)
 }
 
-/// Follows the orders of rank 0 until it dismisses this rank. `work` does the jobs of [`scatter_jobs`], by calling [`work_on_jobs`]
-/// at its end.
+/// Follows the orders of rank 0 until it dismisses this rank. `work` does the jobs of [`scatter_jobs`], by calling [`work_on_jobs`] at its
+/// end; `tell` receives warnings.
 ///
 /// # Errors
-/// When this rank cannot follow an order. The other ranks then wait for it in vain, and the caller has to end them. `tell` receives
-/// warnings.
+/// When this rank cannot follow an order. The other ranks then wait for it in vain, and the caller has to end them.
 pub fn follow(
     ranks: &Arc<dyn Ranks>,
     work: &mut dyn FnMut(&dyn Ranks) -> Result<()>,
@@ -68,7 +67,7 @@ fn expect_own(version: &str) -> Result<()> {
     ))
 }
 
-/// The compute of all ranks together, if each has `compute`.
+/// Returns a description of the compute of all ranks together, if each rank has `compute`.
 pub fn together(compute: Compute, ranks: &dyn Ranks) -> Compute {
     let of = ranks.rank().size;
     Compute {
@@ -114,7 +113,7 @@ fn open(
     backends::train_over(&config, scene.train, Arc::clone(ranks))
 }
 
-/// Follows the orders of rank 0 until the training is over. Without a session, only waits for its end.
+/// Follows the orders of rank 0 until the training is over. Without a session, only waits for the end of the training.
 fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) -> Result<()> {
     let Some(mut session) = session else {
         return match Order::await_from(&**ranks)? {
@@ -139,7 +138,7 @@ fn follow_training(ranks: &Arc<dyn Ranks>, session: Option<Box<dyn Session>>) ->
             _ => return Err(Error::run("rank 0 gave another order while a session was open")),
         };
         match done {
-            // All ranks have the same sums, so a step fails on all of them or on none, and rank 0 reports the failure.
+            // All ranks have the same sums, so a step fails on all of them or on none. Rank 0 reports the failure.
             Err(error) if error.kind() == ErrorKind::Device => return Err(error),
             Err(_) | Ok(()) => {}
         }

@@ -1,4 +1,4 @@
-//! The orders of rank 0, as they are sent.
+//! The orders of rank 0, in the form in which they are sent.
 
 use crate::backends;
 use serde::{Deserialize, Serialize};
@@ -49,13 +49,13 @@ impl Order {
     }
 }
 
-/// The device of a rank, or the instruction set of its processor. `near` is the rank of the process on its machine.
+/// Returns the device of a rank, or the instruction set of its processor. `near` is the rank of the process on its machine.
 ///
 /// # Errors
 /// When there is no such device.
 pub fn computes_with(config: &Config, near: Rank) -> Result<String> {
     Ok(match config.backend.as_str() {
-        // The first instruction set is the widest, which is used.
+        // The list begins with the widest instruction set, which is the one in use.
         "cpu" => trimip_cpu::features().split(',').next().unwrap_or_default().into(),
         _ => backends::compute(config, near)?.name,
     })

@@ -29,7 +29,7 @@ pub struct PsnrByDistance {
     pub views: usize,
     /// Spearman's rank correlation of distance and PSNR, -1 to 1: -1 if every view that is farther away is worse.
     pub rank_correlation: f64,
-    /// Least and greatest distance, as multiples of the median distance of a training camera to the nearest other one; `None` if that
+    /// Least and greatest distance, as multiples of the median distance between a training camera and its nearest neighbour; `None` if that
     /// median is 0.
     pub spacings: Option<(f64, f64)>,
 }
@@ -48,7 +48,7 @@ pub struct Report<'a> {
     pub settings: &'a Settings,
     /// The run's event history.
     pub history: &'a History,
-    /// The machine that it ran on.
+    /// The machine that the report was made on.
     pub machine: Machine,
     /// Size of the model file, bytes.
     pub model_bytes: Option<u64>,
@@ -80,13 +80,13 @@ impl<'a> Report<'a> {
         }
     }
 
-    /// The verdict on the run.
+    /// Returns the verdict on the run.
     pub fn verdict(&self) -> Verdict {
         Verdict::judge(self.config, self.history, &self.views)
     }
 
-    /// The PSNR of the views of the finest scale against their distance to the nearest training camera; `None` with fewer than four views
-    /// that have both, or if all distances or all PSNRs are equal.
+    /// Relates the PSNR of the finest scale's views to their distance from the nearest training camera. `None` with fewer than four views
+    /// that have both values, or if all distances or all PSNRs are equal.
     pub fn psnr_by_distance(&self) -> Option<PsnrByDistance> {
         let finest = self.views.iter().map(|view| view.scale).min()?;
         let views = || self.views.iter().filter(|view| view.scale == finest);
@@ -99,7 +99,7 @@ impl<'a> Report<'a> {
         Some(PsnrByDistance { views: pairs.len(), rank_correlation, spacings: least.zip(greatest) })
     }
 
-    /// The views that the headline figures are measured on: `8 of 200 test views`.
+    /// Names the views that the headline figures are measured on: `8 of 200 test views`.
     pub fn views_measured(&self) -> String {
         let Some(e) = self.headline() else { return "not evaluated".into() };
         let of = self.history.test_views().map_or(String::new(), |all| format!(" of {all}"));
@@ -107,30 +107,30 @@ impl<'a> Report<'a> {
         format!("{}{of} test views{which}", e.views())
     }
 
-    /// The headline figures: the final evaluation, or else the latest one.
+    /// Returns the headline figures: those of the final evaluation, or else of the latest one.
     pub fn headline(&self) -> Option<&Evaluation> {
         self.history.best_known()
     }
 
-    /// The evaluations of the curve.
+    /// Returns the evaluations that form the curve of error against time.
     pub fn curve(&self) -> Vec<&Evaluation> {
         self.history.curve()
     }
 
-    /// Kept samples per second of training.
+    /// Returns the number of kept samples per second of training.
     pub fn samples_per_second(&self) -> Option<f64> {
         let totals = &self.history.totals;
         (totals.seconds > 0.0).then(|| totals.samples as f64 / totals.seconds)
     }
 }
 
-/// Name of the folder, resolved if the path is `.`.
+/// Returns the name of the folder; for the path `.`, that of the folder that it stands for.
 fn folder_name(folder: &RunFolder) -> String {
     let root = std::fs::canonicalize(folder.root()).unwrap_or_else(|_| folder.root().to_path_buf());
     root.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Name of a scale: `full`, `1/2`, ..
+/// Returns the name of a scale: `full`, `1/2`, ..
 pub fn scale_name(scale: u32) -> String {
     if scale == 1 { "full".into() } else { format!("1/{scale}") }
 }

@@ -3,8 +3,9 @@
 /// Minimum number of pairs; a correlation of fewer is meaningless.
 const LEAST: usize = 4;
 
-/// Spearman's rank correlation of pairs of finite values, -1 to 1: Pearson's correlation of their ranks, where equal values share the
-/// mean of their ranks. `None` for fewer than four pairs, or if all values of one kind are equal.
+/// Returns Spearman's rank correlation of pairs of finite values, -1 to 1: Pearson's correlation of their ranks, where
+/// equal values share the mean of their ranks. `None` for fewer than four pairs, or if all first or all second values
+/// are equal.
 pub(super) fn rank_correlation(pairs: &[(f64, f64)]) -> Option<f64> {
     if pairs.len() < LEAST {
         return None;
@@ -15,10 +16,10 @@ pub(super) fn rank_correlation(pairs: &[(f64, f64)]) -> Option<f64> {
     (variance > 0.0).then(|| covariance(&a, &b) / variance.sqrt())
 }
 
-/// The rank of each value minus the mean rank.
+/// Returns the rank of each value minus the mean rank.
 fn ranks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let values: Vec<f64> = values.collect();
-    // Twice the rank, counted from the mean: values below less values above.
+    // Twice the difference between rank and mean rank: the number of smaller values minus the number of greater values.
     let rank = |value: &f64| {
         let below = values.iter().filter(|other| *other < value).count() as f64;
         let above = values.iter().filter(|other| *other > value).count() as f64;

@@ -7,7 +7,7 @@ use trimip_core::measures::quality::mean_quality;
 use trimip_core::{Error, Result};
 use trimip_data::settings::DataConfig;
 
-/// The report as JSON text.
+/// Returns the report as JSON text.
 ///
 /// # Errors
 /// When a value cannot be written as JSON.
@@ -79,7 +79,7 @@ fn value(report: &Report<'_>) -> Value {
     })
 }
 
-/// The definitions of the measures, and the views and conditions of the measurement.
+/// Returns the definitions of the measures, and the views and conditions of the measurement.
 fn meanings(report: &Report<'_>) -> Value {
     let (history, config, headline) = (report.history, report.config, report.headline());
     json!({

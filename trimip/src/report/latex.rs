@@ -1,7 +1,7 @@
 //! Tables as LaTeX, for the package booktabs.
 
-/// Rows as a `tabular`. The first row is the header; with `ends_with_mean`, a line separates the last row. The first column is text, the
-/// others are numbers.
+/// Returns rows as a `tabular`. The first row is the header; with `ends_with_mean`, a line separates the last row. The
+/// first column is text, the others are numbers.
 pub fn tabular(rows: &[Vec<String>], ends_with_mean: bool) -> String {
     let columns = rows.first().map_or(0, Vec::len);
     let mut text = format!("\\begin{{tabular}}{{l{}}}\n\\toprule\n", "r".repeat(columns.saturating_sub(1)));

@@ -1,5 +1,5 @@
-//! The report of a run: its content, its verdict, and its machine-readable and text forms: JSON, CSV, Markdown, LaTeX, TensorBoard.
-//! All are generated from the run folder and the event history, so they can be regenerated at any time.
+//! The report of a run: its content, its verdict, and its machine-readable and text forms: JSON, CSV, Markdown, LaTeX, TensorBoard. All
+//! forms are made from the run folder and the event history, so they can be made again at any time.
 
 mod content;
 mod correlation;

@@ -1,14 +1,14 @@
 //! The scalars of a run as an event file of TensorBoard: a sequence of TFRecords, each an `Event` message of Protocol Buffers
 //! (`tensorflow/core/lib/io/record_writer.h`, `tensorflow/core/util/event.proto` and `framework/summary.proto`).
 //!
-//! | tags | of |
+//! | tags | one point for |
 //! |---|---|
 //! | `train/loss`, `train/psnr`, `train/learning_rate`, `train/samples_per_second`, `train/rays_per_second`, `train/occupied` | each logged step |
-//! | `eval/psnr_mean`, `eval/ssim_mean`, and of each scale `eval/psnr_1`, `eval/ssim_1`, `eval/psnr_2`, .. | each evaluation of the curve |
+//! | `eval/psnr_mean`, `eval/ssim_mean`, and per scale `eval/psnr_1`, `eval/ssim_1`, `eval/psnr_2`, .. | each evaluation of the curve |
 //! | `test/` with the same names, and `test/ms_ssim_mean`, `test/flip_mean`, `test/lpips_mean` where they were measured | the final evaluation |
 //!
 //! PSNR is in dB. The wall time of a point is the time at which the run began plus the seconds of training, so that evaluations and
-//! interruptions take no time, as in `error_vs_time.csv`. The run began at the Unix epoch if no session has recorded its end.
+//! interruptions take no time, as in `error_vs_time.csv`. If no session has recorded its end, the run begins at the Unix epoch.
 
 use crate::run::history::{Evaluation, History, SessionPart};
 use trimip_core::{
@@ -52,7 +52,7 @@ impl Point {
     }
 }
 
-/// The event file of a run: its step events among `events`, and the evaluations of `history`. Values that are not finite are left
+/// Returns the event file of a run: the step events among `events`, and the evaluations of `history`. Values that are not finite are left
 /// out.
 pub fn file(history: &History, events: &[Event]) -> Vec<u8> {
     let mut points: Vec<Point> = events.iter().filter_map(of_step).collect();
@@ -69,7 +69,7 @@ pub fn file(history: &History, events: &[Event]) -> Vec<u8> {
     bytes
 }
 
-/// Unix time at which a session began, seconds.
+/// Returns the Unix time at which a session began, in seconds.
 fn began(part: &SessionPart) -> Option<f64> {
     part.provenance.ended_unix.map(|ended| ended as f64 - part.wall_seconds)
 }
@@ -100,7 +100,7 @@ fn of_step(event: &Event) -> Option<Point> {
     Some(Point::new(totals, named.collect()))
 }
 
-/// PSNR and SSIM of an evaluation: their means, and those of each scale.
+/// Returns PSNR and SSIM of an evaluation: their means, and the values of each scale.
 fn of_evaluation(group: &str, evaluation: &Evaluation) -> Vec<(String, f64)> {
     let mut scalars = vec![
         (format!("{group}/psnr_mean"), evaluation.psnr),
@@ -121,7 +121,7 @@ fn of_final_evaluation(evaluation: &Evaluation) -> Vec<(String, f64)> {
     scalars
 }
 
-/// The message that begins a file.
+/// Returns the message that begins a file.
 fn version(wall_time: f64) -> Vec<u8> {
     let mut message = vec![key::WALL_TIME];
     message.extend(wall_time.to_le_bytes());
@@ -129,7 +129,7 @@ fn version(wall_time: f64) -> Vec<u8> {
     message
 }
 
-/// An `Event` message of the finite values among `scalars`; `None` if there is none.
+/// Returns an `Event` message with the finite values among `scalars`; `None` if no value is finite.
 fn event(wall_time: f64, step: u64, scalars: &[(String, f64)]) -> Option<Vec<u8>> {
     let mut summary = Vec::new();
     for (tag, value) in scalars.iter().filter(|(_, value)| value.is_finite()) {
@@ -157,7 +157,7 @@ fn put_bytes(to: &mut Vec<u8>, key: u8, value: &[u8]) {
     to.extend(value);
 }
 
-/// Appends a number in groups of seven bits, the lowest first; all but the last have the highest bit set.
+/// Appends a number as a varint: groups of seven bits, the lowest first; all bytes except the last have their highest bit set.
 fn put_varint(to: &mut Vec<u8>, mut value: u64) {
     while value >= 0x80 {
         to.push(value as u8 | 0x80);
@@ -175,13 +175,13 @@ fn put_record(to: &mut Vec<u8>, data: &[u8]) {
     to.extend(masked(crc32c(data)).to_le_bytes());
 }
 
-/// A checksum, masked as TFRecords store it, so that the checksum of data that contain checksums is no special value.
+/// Masks a checksum as TFRecords store it, so that the checksum of data that contain checksums is no special value.
 fn masked(checksum: u32) -> u32 {
     checksum.rotate_right(15).wrapping_add(0xA282_EAD8)
 }
 
-/// CRC-32C: the reflected polynomial 0x82F63B78 (Castagnoli). Zip archives and PNGs use another polynomial, so their crates do not compute
-/// this checksum. A file has some kilobytes, so one bit at a time is fast enough.
+/// Computes CRC-32C: the reflected polynomial 0x82F63B78 (Castagnoli). Zip archives and PNGs use another polynomial, so their crates do not
+/// compute this checksum. A file has some kilobytes, so one bit at a time is fast enough.
 fn crc32c(bytes: &[u8]) -> u32 {
     let divided = |rest: u32, _| (rest >> 1) ^ if rest & 1 == 1 { 0x82F6_3B78 } else { 0 };
     !bytes.iter().fold(!0, |rest, &byte| (0..8).fold(rest ^ u32::from(byte), divided))
@@ -204,7 +204,7 @@ mod tests {
         assert_eq!(crc32c(b""), 0);
     }
 
-    /// The payloads of all records; checks their checksums.
+    /// Checks the checksums of all records and returns their payloads.
     fn records(mut bytes: &[u8]) -> Vec<&[u8]> {
         let mut found = Vec::new();
         while !bytes.is_empty() {
@@ -242,7 +242,7 @@ mod tests {
         value
     }
 
-    /// Numbers and values of the fields of a message.
+    /// Returns the numbers and values of the fields of a message.
     fn fields(mut bytes: &[u8]) -> Vec<(u64, Field<'_>)> {
         let mut found = Vec::new();
         while !bytes.is_empty() {
@@ -262,7 +262,7 @@ mod tests {
         found
     }
 
-    /// Wall time, step, tag and value of each scalar of a file.
+    /// Returns the wall time, step, tag and value of each scalar of a file.
     fn scalars(bytes: &[u8]) -> Vec<(f64, u64, String, f32)> {
         let mut found = Vec::new();
         for record in &records(bytes)[1..] {

@@ -9,8 +9,8 @@ use trimip_core::measures::{
     quality::{Measures, mean_quality},
 };
 
-/// Header and rows of the table of metrics: one row per scale and one for their mean. Empty if nothing was measured. A
-/// perceptual measure that no scale has is left out.
+/// Returns the header and the rows of the table of metrics: one row per scale and one for their mean. Empty if nothing
+/// was measured. A perceptual measure that no scale has is left out.
 pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     let Some(e) = report.headline() else { return Vec::new() };
     let mean = mean_quality(&e.scales);
@@ -54,14 +54,14 @@ pub fn measures(report: &Report<'_>) -> Vec<Vec<String>> {
     rows
 }
 
-/// The columns of these names, in the order of the table.
+/// Returns the columns with these names, in the order of the table.
 pub fn columns(rows: &[Vec<String>], names: &[&str]) -> Vec<Vec<String>> {
     let Some(head) = rows.first() else { return Vec::new() };
     let kept: Vec<usize> = (0..head.len()).filter(|&column| names.contains(&head[column].as_str())).collect();
     rows.iter().map(|row| kept.iter().filter_map(|&column| row.get(column).cloned()).collect()).collect()
 }
 
-/// One sentence on the views behind the means of the perceptual measures; empty if there are none.
+/// Returns a sentence on the views behind the means of the perceptual measures; empty if there are none.
 pub fn perceptual(report: &Report<'_>) -> String {
     let scales = report.headline().map_or(&[][..], |e| &e.scales);
     let Some(most) = scales.iter().map(|q| q.perceptual_images).max().filter(|&most| most > 0) else {
@@ -76,14 +76,14 @@ pub fn perceptual(report: &Report<'_>) -> String {
     text + ". "
 }
 
-/// One sentence on the refined poses; empty if poses were not refined.
+/// Returns a sentence on the refined poses; empty if poses were not refined.
 pub fn poses(report: &Report<'_>) -> String {
     let Some((moved, aligned)) = &report.history.poses else { return String::new() };
     let aligned = aligned.map_or(String::new(), |aligned| format!("; {aligned}"));
     format!("The {moved}{aligned}. ")
 }
 
-/// One sentence on how PSNR depends on the distance to the nearest photograph; empty if that was not measured.
+/// Returns a sentence on how PSNR depends on the distance to the nearest photograph; empty if that was not measured.
 pub fn distance(report: &Report<'_>) -> String {
     let Some(found) = report.psnr_by_distance() else { return String::new() };
     let apart = found.spacings.map_or(String::new(), |(least, greatest)| {
@@ -95,7 +95,7 @@ pub fn distance(report: &Report<'_>) -> String {
     )
 }
 
-/// Caption of the figures, one line.
+/// Returns the caption of the figures, one line.
 fn caption(report: &Report<'_>) -> String {
     let totals = &report.history.totals;
     let drawn = totals.backward_fraction().filter(|fraction| *fraction < 1.0);
@@ -117,7 +117,7 @@ fn caption(report: &Report<'_>) -> String {
     )
 }
 
-/// The report's table as Markdown.
+/// Returns the report's table as Markdown.
 pub fn markdown(report: &Report<'_>) -> String {
     let safe = |text: &str| text.replace('|', "\\|").replace('<', "&lt;");
     let mut text = format!(
@@ -147,7 +147,7 @@ pub fn markdown(report: &Report<'_>) -> String {
 /// Columns of the LaTeX table; `report.md` has the others.
 const PRINTED: [&str; 7] = ["scale", "images", "PSNR / dB", "SSIM", "MS-SSIM", "FLIP", "LPIPS"];
 
-/// The report's table as LaTeX.
+/// Returns the report's table as LaTeX.
 pub fn latex(report: &Report<'_>) -> String {
     let rows = columns(&measures(report), &PRINTED);
     let mut text = format!(

@@ -15,27 +15,27 @@ use trimip_core::{
 
 /// Minimum mean PSNR of a good model: an error of 5.6 % of the range. Below it, edges are visibly blurred.
 const GOOD: f64 = 25.0;
-/// Minimum gain of a good model over the PSNR of each photograph's mean colour: a sixteenth of its squared error.
+/// Minimum gain of a good model over the PSNR of each photograph's mean colour: a sixteenth of that colour's squared error.
 const GOOD_ABOVE: f64 = 12.0;
 /// Minimum mean PSNR of a fair model: an error of a tenth of the range.
 const FAIR: f64 = 20.0;
-/// Minimum gain of a fair model over the mean colour's PSNR: a quarter of its squared error.
+/// Minimum gain of a fair model over the mean colour's PSNR: a quarter of that colour's squared error.
 const FAIR_ABOVE: f64 = 6.0;
-/// Minimum gain over the mean colour's PSNR of a model that learned anything; the default of `eval.min_gain`.
+/// Minimum gain over the mean colour's PSNR for a model that learned anything; the default of `eval.min_gain`.
 const GAIN: f64 = 1.0;
-/// From this PSNR on, the error is at most 1 % of the range, and the model is good whatever its gain: scenes may be
-/// almost blank.
+/// From this PSNR on, the error is at most 1 % of the range, and the model is good whatever its gain: a scene may be
+/// almost blank, so that its mean colour is almost right.
 const BEYOND_DOUBT: f64 = 40.0;
 /// PSNR of a grey picture against pixels spread evenly over the range (variance 1/12): the bound for a model that
 /// learned nothing if the mean colour's PSNR is unknown.
 const GREY: f64 = 10.8;
-/// Minimum share of occupied cells in fog. Surfaces and the cells just behind them fill an eighth of a box or less, and
+/// Minimum share of occupied cells in fog. Surfaces and the cells just behind them fill at most an eighth of a box, and
 /// a box is full when training begins.
 const FOG_OCCUPIED: f64 = 0.25;
 /// Minimum share of marched samples that fog keeps. In a solid model, rays end behind a surface and drop their
-/// remaining samples; it keeps 0.8 to 0.94.
+/// remaining samples, so it keeps 0.8 to 0.94.
 const FOG_KEPT: f64 = 0.95;
-/// Distance in dB below the median of its scale at which a view suggests floaters: six times its squared error. A
+/// A view suggests floaters if its PSNR is this many dB below the median of its scale: six times the squared error. A
 /// floater hides the scene from few cameras. Reflections that no training view shows cost up to 6 dB.
 const FLOATER: f64 = 8.0;
 /// Minimum number of views for a median.
@@ -70,7 +70,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// The extent of an evaluation; `None` if it has no scale.
+    /// Returns the extent of an evaluation; `None` if it has no scale.
     fn of(evaluation: &Evaluation) -> Option<Self> {
         let scales = &evaluation.scales;
         let finest = scales.iter().min_by_key(|scale| scale.scale)?;
@@ -106,19 +106,19 @@ pub struct Figures {
     pub extent: Option<Extent>,
     /// The last training figures.
     pub training: Training,
-    /// Distance in dB of the worst view of the finest scale below the median of that scale; `None` below four views.
+    /// Distance in dB from the median of the finest scale down to its worst view; `None` with fewer than four views.
     pub below_median: Option<f64>,
     /// The advice to give if the background shines through.
     pub remedy: Remedy,
 }
 
-/// The verdict and the figures it is based on.
+/// The verdict and the figures that it is based on.
 ///
 /// The rules in order; the constants above give each threshold and its reason:
 ///
 /// 1. *not evaluated*: there is no final evaluation.
-/// 2. *failed to learn*: PSNR is not [`Measures::learned`], 1 dB above that of each photograph's mean colour; if
-///    that is unknown, PSNR is below 10.8 dB, that of grey.
+/// 2. *failed to learn*: PSNR is not [`Measures::learned`], 1 dB above the PSNR of each photograph's mean colour; if
+///    the latter is unknown, PSNR is below 10.8 dB, that of grey.
 /// 3. *good*: PSNR is at least 25 dB and 12 dB above the mean colour's, or at least 40 dB.
 /// 4. *fog*: not good, at least 25 % of the cells are occupied and at least 95 % of the marched samples are kept.
 /// 5. *fair*: PSNR is at least 20 dB and 6 dB above the mean colour's.
@@ -161,7 +161,7 @@ impl Verdict {
         }
     }
 
-    /// The verdict in a few words: the grade and the faults.
+    /// Returns the verdict in a few words: the grade and the faults.
     pub fn label(&self) -> String {
         let mut label = match self.grade {
             Grade::NotEvaluated => "not evaluated",
@@ -181,7 +181,7 @@ impl Verdict {
         label
     }
 
-    /// CSS class of the badge: `good` only for a good model without faults.
+    /// Returns the CSS class of the badge: `good` only for a good model without faults.
     pub fn class(&self) -> &'static str {
         match self.grade {
             Grade::NotEvaluated => "plain",
@@ -228,7 +228,7 @@ impl Verdict {
         reasons
     }
 
-    /// The verdict as one line for a terminal.
+    /// Returns the verdict as one line for a terminal.
     pub fn words(&self) -> String {
         format!("{}: {}", self.label(), self.reasons().join("; "))
     }
@@ -243,7 +243,7 @@ fn grade(mean: &Measures, training: &Training) -> Grade {
     if (mean.psnr >= GOOD && above >= GOOD_ABOVE) || mean.psnr >= BEYOND_DOUBT {
         return Grade::Good;
     }
-    // Without marched samples `kept` is NaN, and the model does not count as fog.
+    // Without marched samples `kept` is NaN; the comparison is then false, and the model does not count as fog.
     let kept = training.kept_per_ray / training.marched_per_ray;
     if training.occupied >= FOG_OCCUPIED && kept >= FOG_KEPT {
         return Grade::Fog;
@@ -251,7 +251,7 @@ fn grade(mean: &Measures, training: &Training) -> Grade {
     if mean.psnr >= FAIR && above >= FAIR_ABOVE { Grade::Fair } else { Grade::Poor }
 }
 
-/// Distance in dB of the worst view of the finest scale below the median of that scale.
+/// Returns the distance in dB from the median of the finest scale down to its worst view.
 fn below_median(views: &[ViewRecord]) -> Option<f64> {
     let finest = views.iter().map(|view| view.scale).min()?;
     let mut psnr: Vec<f64> = views.iter().filter(|v| v.scale == finest).filter_map(|v| v.psnr).collect();
@@ -267,7 +267,7 @@ mod tests {
         Some(Measures { psnr, psnr_opposite, psnr_constant, ssim: 0.9, ..Measures::UNKNOWN })
     }
 
-    /// Figures of a solid model with `psnr`; a constant picture has 11 dB.
+    /// Returns figures of a solid model with `psnr`; the mean colour has 11 dB.
     fn solid(psnr: f64) -> Figures {
         let training = Training { loss: 0.1, occupied: 0.1, marched_per_ray: 30.0, kept_per_ray: 27.0 };
         let mean = mean(psnr, psnr, 11.0);

@@ -24,8 +24,8 @@ pub struct Beginning {
 }
 
 impl Beginning {
-    /// Starts or resumes a run of `given` settings in a locked folder; with `fresh`, always starts. A resumed run keeps
-    /// its plan. A new run is planned once its scene is known.
+    /// Starts or resumes a run of the settings `given` in a locked folder; with `fresh`, always starts anew. A resumed run keeps its plan.
+    /// A new run is planned once its scene has been read.
     ///
     /// # Errors
     /// When the folder contains another run, or the settings are invalid.
@@ -43,8 +43,8 @@ impl Beginning {
         Ok(Self { settings, findings, checkpoint, extended: None })
     }
 
-    /// Extends the finished run of a locked folder by `more` seconds. Uses the settings that it was trained with, with
-    /// `assignments` applied.
+    /// Extends the finished run of a locked folder by `more` seconds. Uses the settings that the run was trained with, with `assignments`
+    /// applied.
     ///
     /// # Errors
     /// When the run is not finished, or an assignment changes its model.
@@ -70,7 +70,7 @@ impl Beginning {
         }
         assignments.iter().try_for_each(|set| settings.apply_assignment(set))?;
         let old = &checkpoint.config.train;
-        // A run limited by steps gets the number of steps that take this time.
+        // A run limited by steps gets as many more steps as fit into this time at its mean speed so far.
         let budget = match old.steps {
             0 => format!("train.seconds={:?}", old.seconds.max(totals.seconds) + more),
             steps => {
@@ -113,7 +113,7 @@ impl Beginning {
     }
 }
 
-/// Refuses a folder with a run of other settings than `given`, as a training into that folder would. Quick, because it reads no
+/// Refuses a folder that contains a run of settings other than `given`, as a training into that folder would. Fast, because it reads no
 /// checkpoint.
 ///
 /// # Errors
@@ -130,8 +130,8 @@ pub fn expect_same(given: &Settings, folder: &RunFolder) -> Result<()> {
     folder.expect_none(&Config::from_settings(&settings)?.differences(&there))
 }
 
-/// Keeps the budget of an earlier extension if the given budget is smaller. The settings that began the run then still
-/// match it, and the run counts as finished.
+/// Keeps the budget of an earlier extension if the given budget is smaller. The settings with which the run began then still match it, and
+/// the run counts as finished.
 fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     let extended = || folder.events().iter().any(|event| matches!(event, Event::Extended { .. }));
     let Ok(text) = std::fs::read_to_string(folder.config()) else { return Ok(()) };
@@ -148,7 +148,7 @@ fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     Ok(())
 }
 
-/// True if the history contains the final evaluation that the configuration asks for.
+/// Returns true if the history contains the final evaluation that the configuration requests.
 fn evaluated(config: &Config, history: &History, totals: &Totals) -> bool {
     let bounded = config.eval.time_fraction > 0.0;
     let asked = |e: &Evaluation| e.bounded && bounded || config.eval.final_stride(e.frames) == Some(e.stride);

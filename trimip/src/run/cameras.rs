@@ -5,17 +5,17 @@ use crate::view::{self, Named};
 use std::path::Path;
 use trimip_core::{Camera, Intrinsics, Result, ViewSet, scene::origin::LocalOrigin};
 
-/// The name of a finished model in its run folder.
+/// File name of the finished model in a run folder.
 const MODEL: &str = "model.safetensors";
 
-/// The cameras of the finest photographs of a set, by their names.
+/// Returns the cameras of the finest photographs of a set, with the names of the photographs.
 pub fn finest(views: &ViewSet) -> Vec<Named> {
     let finest = views.scales.first().map(|scale| &views.views[scale.views.clone()]).unwrap_or_default();
     finest.iter().map(|view| (view.name.clone(), view.camera)).collect()
 }
 
-/// The training cameras stored in the run folder `model`, or in the run folder of the model file `model`. Coordinates are relative
-/// to `origin`, the model's. `None` if there are none, as in runs of earlier versions.
+/// Returns the training cameras stored in the run folder `model`, or in the run folder of the model file `model`, in coordinates relative
+/// to `origin`, the model's local origin. `None` if no cameras are stored, as in runs of earlier versions.
 ///
 /// # Errors
 /// When the file exists but contains no valid cameras.

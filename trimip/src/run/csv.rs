@@ -13,12 +13,12 @@ pub fn write(path: &Path, history: &History) -> Result<()> {
     write_atomically(path, text(history).as_bytes())
 }
 
-/// A value with `digits` after the point; empty if it is not finite, as `compare` expects.
+/// Formats a value with `digits` after the point; returns an empty text if the value is not finite, as `compare` expects.
 fn cell(value: f64, digits: usize) -> String {
     if value.is_finite() { format!("{value:.digits$}") } else { String::new() }
 }
 
-/// Columns: seconds, step, samples, rays, stride, views, last, the means, then PSNR and SSIM of each scale.
+/// Returns the curve as CSV: seconds, step, samples, rays, stride, views, last, the means, then PSNR and SSIM of each scale.
 fn text(history: &History) -> String {
     let mut scales: Vec<u32> =
         history.evaluations.iter().flat_map(|e| e.scales.iter().map(|q| q.scale)).collect();
@@ -63,8 +63,9 @@ pub fn write_steps(path: &Path, events: &[Event]) -> Result<()> {
     write_atomically(path, steps(events).as_bytes())
 }
 
-/// Columns: step, seconds of training, samples kept and rays so far; loss and PSNR (dB) of the step's own pixels;
-/// learning rate; share of occupied cells; kept samples per second. A value that is not finite is left empty.
+/// Returns the steps as CSV: step, seconds of training, samples kept and rays so far; loss and PSNR (dB) of the step's
+/// own pixels; learning rate; share of occupied cells; kept samples per second. A value that is not finite is left
+/// empty.
 fn steps(events: &[Event]) -> String {
     let mut text =
         "step,seconds,samples,rays,loss,batch_psnr,learning_rate,occupied,samples_per_second\n".to_string();

@@ -11,8 +11,8 @@ pub struct Measure {
     pub psnr: f64,
 }
 
-/// Parses the measurements of a CSV text, sorted by time, and the final one if a column `last` marks it. A line with an
-/// empty PSNR is an evaluation whose result was not a number.
+/// Parses the measurements of a CSV text and sorts them by time; also returns the final one if a column `last` marks
+/// it. A line with an empty PSNR is an evaluation whose result was not a number.
 pub fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
     let header: Vec<&str> =
@@ -59,14 +59,14 @@ pub struct Evaluated {
     pub views: Option<String>,
 }
 
-/// The points of a curve in order of time, and the final measurement if it uses other views; `None` without measurements.
+/// Returns the points of a curve in order of time, and the final measurement if it uses other views; `None` without measurements.
 pub fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
     let (mut points, mut last, mut before) = (Vec::new(), None, None);
     for Evaluated { measure, ends, views } in rows {
         if ends {
             last = Some(measure);
         }
-        // The final measurement also belongs to the curve if it uses the curve's own views.
+        // The final measurement also belongs to the curve if it uses the same views as the curve.
         if !ends || (views.is_some() && views == before) {
             points.push(measure);
             before = views;

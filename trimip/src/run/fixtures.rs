@@ -7,7 +7,7 @@ use trimip_core::Config;
 use trimip_core::engine::events::{Event, Provenance, Totals};
 use trimip_core::measures::quality::{Measures, ScaleQuality};
 
-/// An evaluation event at `step` with `psnr` at two scales.
+/// Returns an evaluation event at `step` with `psnr` at two scales.
 pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
     let scale = |scale, psnr| ScaleQuality {
         scale,
@@ -34,7 +34,7 @@ pub fn evaluation(step: u64, stride: usize, last: bool, psnr: f64) -> Event {
     }
 }
 
-/// A step event at `step` with these counters.
+/// Returns a step event at `step` with these counters.
 pub fn step(step: u64, rays: u64, marched: u64, samples: u64) -> Event {
     Event::Step {
         totals: Totals { step, rays, marched, samples, seconds: step as f64, ..Totals::default() },

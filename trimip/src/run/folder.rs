@@ -1,4 +1,4 @@
-//! The folder of a run: names of its files, its state, reading and writing its events.
+//! The folder of a run: the names of its files, its state, and functions that read and write its events.
 
 use std::fs::File;
 use std::io::Write;
@@ -17,7 +17,7 @@ pub struct RunFolder {
     root: PathBuf,
 }
 
-/// Names of all files that a run writes, except `images/`. The events come last: they mark a folder as a run's.
+/// Names of all files that a run writes, except `images/`. The events come last, because they mark the folder as a run's.
 const FILES: [&str; 15] = [
     "config.toml",
     "plan.json",
@@ -37,52 +37,52 @@ const FILES: [&str; 15] = [
 ];
 
 impl RunFolder {
-    /// Names a folder without touching the disk.
+    /// Wraps the path of a folder without touching the disk.
     pub fn new(root: &Path) -> Self {
         Self { root: root.to_path_buf() }
     }
 
-    /// The folder itself.
+    /// Returns the path of the folder itself.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// The effective configuration.
+    /// Returns the path of the effective configuration.
     pub fn config(&self) -> PathBuf {
         self.root.join("config.toml")
     }
 
-    /// The events, one JSON object per line.
+    /// Returns the path of the events, one JSON object per line.
     pub fn metrics(&self) -> PathBuf {
         self.root.join("metrics.jsonl")
     }
 
-    /// The finished model.
+    /// Returns the path of the finished model.
     pub fn model(&self) -> PathBuf {
         self.root.join("model.safetensors")
     }
 
-    /// The state to resume from.
+    /// Returns the path of the state to resume from.
     pub fn checkpoint(&self) -> PathBuf {
         self.root.join("checkpoint.safetensors")
     }
 
-    /// Metrics of every view of the final evaluation.
+    /// Returns the path of the metrics of every view of the final evaluation.
     pub fn views(&self) -> PathBuf {
         self.root.join("views.json")
     }
 
-    /// The model from all around, in one picture.
+    /// Returns the path of the picture that shows the model from all around.
     pub fn turntable(&self) -> PathBuf {
         self.root.join("turntable.png")
     }
 
-    /// The decisions of the scene plan.
+    /// Returns the path of the decisions of the scene plan.
     pub fn plan(&self) -> PathBuf {
         self.root.join("plan.json")
     }
 
-    /// The cameras of the training photographs at their finest scale, refined ones if training has refined them.
+    /// Returns the path of the cameras of the training photographs at their finest scale, with refined poses if training has refined them.
     pub fn cameras(&self) -> PathBuf {
         self.root.join("cameras.json")
     }
@@ -107,42 +107,42 @@ impl RunFolder {
         write_atomically(&self.plan(), text.as_bytes())
     }
 
-    /// The curve of error against time.
+    /// Returns the path of the curve of error against time.
     pub fn curve(&self) -> PathBuf {
         self.root.join("error_vs_time.csv")
     }
 
-    /// The report for people.
+    /// Returns the path of the report for people.
     pub fn html(&self) -> PathBuf {
         self.root.join("report.html")
     }
 
-    /// The report for programs.
+    /// Returns the path of the report for programs.
     pub fn json(&self) -> PathBuf {
         self.root.join("report.json")
     }
 
-    /// The report's table as Markdown.
+    /// Returns the path of the report's table as Markdown.
     pub fn markdown(&self) -> PathBuf {
         self.root.join("report.md")
     }
 
-    /// The report's table as LaTeX.
+    /// Returns the path of the report's table as LaTeX.
     pub fn latex(&self) -> PathBuf {
         self.root.join("report.tex")
     }
 
-    /// The step events as a table.
+    /// Returns the path of the step events as a table.
     pub fn steps(&self) -> PathBuf {
         self.root.join("metrics.csv")
     }
 
-    /// The scalars of the run for TensorBoard, which recognises its files by `tfevents` in their names.
+    /// Returns the path of the run's scalars for TensorBoard, which recognises its files by `tfevents` in their names.
     pub fn tensorboard(&self) -> PathBuf {
         self.root.join("events.out.tfevents.run")
     }
 
-    /// Pictures of test views.
+    /// Returns the path of the folder with pictures of test views.
     pub fn images(&self) -> PathBuf {
         self.root.join("images")
     }
@@ -184,10 +184,10 @@ impl RunFolder {
         Ok(None)
     }
 
-    /// Refuses the folder if its run differs from the given one in `differences`.
+    /// Refuses the folder if there are `differences` between its run and the given one.
     ///
     /// # Errors
-    /// When there are any.
+    /// When `differences` is not empty.
     pub(super) fn expect_none(&self, differences: &[String]) -> Result<()> {
         if differences.is_empty() {
             return Ok(());
@@ -205,7 +205,7 @@ impl RunFolder {
         ))
     }
 
-    /// Paths of all files that a run writes, except pictures, whether they exist or not; the events last.
+    /// Returns the paths of all files that a run writes, except pictures, whether they exist or not; the events last.
     pub fn files(&self) -> Vec<PathBuf> {
         FILES.iter().map(|name| self.root.join(name)).collect()
     }
@@ -230,7 +230,7 @@ impl RunFolder {
         Ok(())
     }
 
-    /// Pictures in `images/` that runs wrote, recognised by name. Other files there belong to the user.
+    /// Returns the pictures in `images/` that runs wrote, recognised by name. Other files in `images/` belong to the user.
     pub fn pictures(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
         let ours = entries.filter(|entry| is_picture(&entry.file_name().to_string_lossy()));
@@ -270,7 +270,7 @@ impl RunFolder {
         ))
     }
 
-    /// Events written so far. Skips a line that a killed run left incomplete.
+    /// Reads the events written so far. Skips a line that a killed run left incomplete.
     pub fn events(&self) -> Vec<Event> {
         events_of(&std::fs::read(self.metrics()).unwrap_or_default())
     }
@@ -293,14 +293,14 @@ impl RunFolder {
     }
 }
 
-/// The events in the bytes of `metrics.jsonl`. Lines that are not events are skipped.
+/// Returns the events in the bytes of `metrics.jsonl`. Lines that are not events are skipped.
 pub fn events_of(bytes: &[u8]) -> Vec<Event> {
     // A torn line may end within a UTF-8 character.
     let lines = bytes.split(|&byte| byte == b'\n');
     lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()
 }
 
-/// Advice where a run or a model is expected.
+/// Advice for a path at which a run or a model is expected.
 const NAME_A_RUN: &str = "name the folder of a run, such as runs/quickstart, or a model file (.safetensors)";
 
 /// Fails if there is nothing at the path of a run or a model.
@@ -337,7 +337,7 @@ pub fn read_model(path: &Path) -> Result<Model> {
     Ok(Checkpoint::read(&folder.checkpoint())?.into_model())
 }
 
-/// True for names that [`picture_stem`] produces, of a picture, a comparison or a map of FLIP errors.
+/// Returns true for the file name of a picture, a comparison or a map of FLIP errors whose stem [`picture_stem`] made.
 fn is_picture(name: &str) -> bool {
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
     let Some(stem) = name.strip_suffix(".png") else { return false };
@@ -346,7 +346,7 @@ fn is_picture(name: &str) -> bool {
     front.split_once('_').is_some_and(|(index, _)| index.len() >= 4 && digits(index)) && digits(scale)
 }
 
-/// Name of a test view's picture, without extension.
+/// Returns the name of a test view's picture, without extension.
 pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
     format!("{index:04}_{photograph}_scale{scale}")
 }
@@ -358,7 +358,7 @@ pub fn picture_stem(index: usize, photograph: &str, scale: u32) -> String {
 pub fn create_writable(folder: &Path) -> Result<()> {
     let attempt = || {
         std::fs::create_dir_all(folder)?;
-        // A file without a name: it vanishes however the process ends.
+        // A file without a name: it vanishes in whatever way the process ends.
         tempfile::tempfile_in(folder)?.write_all(b"x")
     };
     attempt().map_err(|error| {
@@ -383,7 +383,7 @@ mod tests {
         },
     };
 
-    /// The checkpoint of a run that has not begun.
+    /// Returns the checkpoint of a run that has not begun.
     fn untrained(config: &Config) -> Checkpoint {
         let (mut file, layout, cells) =
             (TensorFile::default(), Layout::new(config), config.occupancy.cells());

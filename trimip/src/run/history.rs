@@ -10,7 +10,7 @@ use trimip_core::measures::quality::ScaleQuality;
 pub struct Evaluation {
     /// Counters at the time of the evaluation.
     pub totals: Totals,
-    /// Every n-th test view was used.
+    /// Stride of the evaluation: every n-th test view was used.
     pub stride: usize,
     /// Number of test views; 0 if unknown.
     pub frames: usize,
@@ -29,7 +29,7 @@ pub struct Evaluation {
 }
 
 impl Evaluation {
-    /// Number of test views that were evaluated, each at all of its scales.
+    /// Returns the number of test views that were evaluated, each at all of its scales.
     pub fn views(&self) -> usize {
         self.scales.iter().map(|quality| quality.images).max().unwrap_or(0)
     }
@@ -76,7 +76,7 @@ pub struct History {
     pub totals: Totals,
     /// Latest training figures.
     pub training: Training,
-    /// How far refined poses are from the given ones, and test views aligned with the model.
+    /// How far refined poses have moved from the given ones, and how the test views were aligned with the model.
     pub poses: Option<(Moved, Option<Aligned>)>,
     /// True after the last step of the schedule.
     pub finished: bool,
@@ -151,23 +151,23 @@ impl History {
         }
     }
 
-    /// The evaluation at the end of the run.
+    /// Returns the evaluation at the end of the run.
     pub fn last(&self) -> Option<&Evaluation> {
         self.evaluations.iter().find(|evaluation| evaluation.last)
     }
 
-    /// The final evaluation, or else the latest one.
+    /// Returns the final evaluation, or else the latest one.
     pub fn best_known(&self) -> Option<&Evaluation> {
         self.last().or(self.evaluations.last())
     }
 
-    /// Counters at the last step that was evaluated; zero if none was.
+    /// Returns the counters at the last step that was evaluated; zero if none was.
     pub fn last_evaluated(&self) -> Totals {
         let totals = self.evaluations.iter().map(|evaluation| evaluation.totals);
         totals.max_by_key(|totals| totals.step).unwrap_or_default()
     }
 
-    /// The evaluations drawn as one line, in step order: the largest group on the same test views at the same scales.
+    /// Returns the evaluations that are drawn as one line, in step order: the largest group with the same test views and scales.
     pub fn curve(&self) -> Vec<&Evaluation> {
         let views = |e: &Evaluation| (e.stride, e.scales.first().map_or(0, |scale| scale.scale));
         let alike = |e: &Evaluation| self.evaluations.iter().filter(|other| views(other) == views(e)).count();
@@ -182,7 +182,7 @@ impl History {
         curve
     }
 
-    /// Backends and devices that worked on the run, without duplicates.
+    /// Returns the backends and devices that worked on the run, without duplicates.
     pub fn devices(&self) -> Vec<String> {
         let mut devices: Vec<String> = Vec::new();
         for part in self.parts.iter().filter(|part| !part.device.is_empty()) {
@@ -194,17 +194,17 @@ impl History {
         devices
     }
 
-    /// Number of views in the test split, evaluated or not, if a part recorded it.
+    /// Returns the number of views in the test split, evaluated or not, if a part recorded it.
     pub fn test_views(&self) -> Option<usize> {
         self.parts.iter().rev().find_map(|part| part.provenance.test_views)
     }
 
-    /// Peak resident memory over all parts in bytes, if known.
+    /// Returns the peak resident memory over all parts in bytes, if known.
     pub fn peak_memory_bytes(&self) -> Option<u64> {
         self.parts.iter().filter_map(|part| part.peak_memory_bytes).max()
     }
 
-    /// Total time of evaluations in seconds. Two evaluations at the same step share one rendering.
+    /// Returns the total time of evaluations in seconds. Two evaluations at the same step share one rendering.
     pub fn evaluation_seconds(&self) -> f64 {
         let mut steps: Vec<(u64, f64)> = Vec::new();
         for evaluation in &self.evaluations {
@@ -217,7 +217,7 @@ impl History {
     }
 }
 
-/// The counters of an event.
+/// Returns the counters of an event.
 pub fn totals(event: &Event) -> Option<&Totals> {
     match event {
         Event::Resumed { totals }
@@ -230,8 +230,7 @@ pub fn totals(event: &Event) -> Option<&Totals> {
     }
 }
 
-/// Events up to `step`, which a run resumed there keeps. Later steps are repeated, and their events would be
-/// duplicates.
+/// Returns the events up to `step`, which a run that resumes there keeps. The run repeats later steps, so their events would be duplicates.
 pub fn up_to(events: Vec<Event>, step: u64) -> Vec<Event> {
     events.into_iter().filter(|event| totals(event).is_none_or(|totals| totals.step <= step)).collect()
 }

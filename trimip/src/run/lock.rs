@@ -1,6 +1,6 @@
 //! Protects a run folder. A folder with files that no run wrote is refused before anything is written, and a lock keeps
 //! a second process out. A folder belongs to a run if `metrics.jsonl` contains an event, which the run writes first and
-//! removes last, or if its checkpoint begins with the header of one.
+//! removes last, or if its checkpoint begins with the header of a checkpoint.
 
 use super::folder::RunFolder;
 use std::fs::{File, TryLockError};
@@ -15,7 +15,7 @@ use trimip_core::{
 const HEAD: u64 = 1 << 16;
 
 impl RunFolder {
-    /// True if a run of this program wrote the folder.
+    /// Returns true if a run of this program wrote the folder.
     pub fn is_ours(&self) -> bool {
         has_event(&self.metrics()) || is_checkpoint(&self.checkpoint())
     }
@@ -87,15 +87,14 @@ pub struct Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // A leftover file blocks nobody: the operating system holds the lock, not the file. A file with content is not
-        // ours and stays.
+        // A leftover file blocks no process: the operating system holds the lock, not the file. A file with content is not ours and stays.
         if std::fs::metadata(&self.path).is_ok_and(|metadata| metadata.len() == 0) {
             let _ = std::fs::remove_file(&self.path);
         }
     }
 }
 
-/// True if the open file is the one at `path`.
+/// Returns true if the open file is the one at `path`.
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -104,19 +103,19 @@ fn is_at(file: &File, path: &Path) -> bool {
     matches!((open, there), (Ok(open), Ok(there)) if open == there)
 }
 
-/// True if the open file is the one at `path`: assumed on this system.
+/// Assumes that the open file is the one at `path`: this system offers no check.
 #[cfg(not(unix))]
 fn is_at(_file: &File, _path: &Path) -> bool {
     true
 }
 
-/// True if some line is an event of a run.
+/// Returns true if some line is an event of a run.
 fn has_event(path: &Path) -> bool {
     let bytes = std::fs::read(path).unwrap_or_default();
     String::from_utf8_lossy(&bytes).lines().any(|line| serde_json::from_str::<Event>(line).is_ok())
 }
 
-/// True if the file begins like a checkpoint, complete or not.
+/// Returns true if the beginning of the file is that of a checkpoint, whether the file is complete or not.
 fn is_checkpoint(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
@@ -191,7 +190,7 @@ mod tests {
         drop(lock);
         drop(folder.lock().unwrap());
         assert_eq!(std::fs::read_dir(folder.root()).unwrap().count(), 0);
-        // The leftover file of a killed process blocks nobody.
+        // The leftover file of a killed process blocks no other process.
         std::fs::write(folder.root().join("run.lock"), "").unwrap();
         folder.lock().unwrap();
     }

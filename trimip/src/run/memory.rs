@@ -19,7 +19,7 @@ struct Memory {
 /// When there is too little memory; the message names the largest part and the settings that lower it.
 pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<Option<String>> {
     let resident = memory::resident_memory().unwrap_or(0);
-    // Memory already in use, such as for the photographs, is part of the prediction.
+    // Memory already in use, such as that of the photographs, is part of the prediction.
     let with = |more: Option<u64>| more.map_or(u64::MAX, |more| more.saturating_add(resident));
     let there = Memory { own: with(memory::own_memory()), common: with(memory::common_memory()) };
     match (shortage(config, parts, ranks, there), config.memory) {
@@ -28,7 +28,7 @@ pub fn check(config: &Config, parts: &[(String, u64)], ranks: usize) -> Result<O
     }
 }
 
-/// The error of a run that needs more memory than there is.
+/// Returns the error of a run that needs more memory than is available.
 fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, there: Memory) -> Option<Error> {
     let needed = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
     let (largest, bytes) = parts.iter().max_by_key(|(_, bytes)| *bytes)?;
@@ -59,7 +59,7 @@ fn shortage(config: &Config, parts: &[(String, u64)], ranks: usize, there: Memor
     })
 }
 
-/// The settings that lower a part of the memory, by the part's name in the CPU's prediction.
+/// Returns the settings that lower a part of the memory. `part` is its name in the CPU's prediction.
 fn lowered_by(config: &Config, part: &str) -> &'static str {
     match part {
         "training images" => "lower data.most_pixels or data.scales (or set data.pixels = \"disk\")",
@@ -111,7 +111,7 @@ mod tests {
                 error.kind() == trimip_core::ErrorKind::Input && error.message().contains(setting),
                 "{setting}: {error}"
             );
-            // The ranks do not share a limit per process.
+            // A limit per process applies to each rank separately.
             let own = Memory { own: 600_000_000, common: u64::MAX };
             let error = shortage(&config, &parts(&config), 8, own).expect(setting);
             assert!(error.message().contains("this process may use"), "{error}");

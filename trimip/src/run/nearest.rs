@@ -7,7 +7,8 @@ use trimip_core::Camera;
 #[derive(Clone, Debug, Default)]
 pub struct TrainingCameras {
     centres: Vec<DVec3>,
-    /// Median of the distances of a camera to the nearest other one, world units; 0 if there is no other, or if most share a position.
+    /// Median distance between a camera and its nearest neighbour, world units; 0 with only one camera, or if most
+    /// cameras share a position.
     spacing: f64,
 }
 
@@ -16,7 +17,7 @@ pub struct TrainingCameras {
 pub struct Nearest {
     /// World units.
     pub distance: f64,
-    /// As a multiple of the median distance of a training camera to the nearest other one; `None` if that median is 0.
+    /// The distance as a multiple of the median distance between a training camera and its nearest neighbour; `None` if that median is 0.
     pub spacings: Option<f64>,
 }
 
@@ -35,7 +36,7 @@ impl TrainingCameras {
         Self { centres, spacing }
     }
 
-    /// The distance from the centre of `camera` to the nearest training camera; `None` without training cameras.
+    /// Returns the distance from the centre of `camera` to the nearest training camera; `None` without training cameras.
     pub fn nearest(&self, camera: &Camera) -> Option<Nearest> {
         let distances = self.centres.iter().map(|centre| centre.distance(camera.origin));
         let distance = distances.min_by(f64::total_cmp)?;
@@ -56,7 +57,7 @@ mod tests {
 
     #[test]
     fn distances_are_to_the_nearest_camera_and_relative_to_the_usual_spacing() {
-        // The nearest other cameras are 2, 2, 2 and 6 away.
+        // The distances to the nearest neighbours are 2, 2, 2 and 6.
         let row = [at(0.0, 0.0), at(2.0, 0.0), at(4.0, 0.0), at(10.0, 0.0)];
         let training = TrainingCameras::new(&row);
         let found = training.nearest(&at(4.0, 3.0)).unwrap();

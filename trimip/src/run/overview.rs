@@ -31,7 +31,7 @@ pub struct Subject<'a> {
 }
 
 impl Overview {
-    /// Overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
+    /// Returns the overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
     pub fn new(
         config: &Config,
         subject: &Subject<'_>,
@@ -45,8 +45,7 @@ impl Overview {
         lines.extend(subject.description.iter().map(|line| format!("data: {line}")));
         let finest = config.train.finest_scale.at(0.0) as usize;
         lines.extend(subject.train.scales.iter().enumerate().map(|(index, scale)| {
-            // With a balance of b, a pixel is drawn weight^b times as often, and its ray has the weight weight^(1 - b)
-            // in the loss.
+            // At a balance of b, a pixel is drawn weight^b times as often, and its ray has the weight weight^(1 - b) in the loss.
             let drawn = scale.weight.powf(config.train.scale_weighting.at(0.0) as f32);
             let first = if index < finest { ", left out at first" } else { "" };
             format!(
@@ -73,7 +72,7 @@ impl Overview {
         Self { lines, summary, memory_bytes }
     }
 
-    /// The event that begins a run.
+    /// Returns the event that begins a run.
     pub fn event(self) -> Event {
         Event::Plan { lines: self.lines, summary: self.summary, memory_bytes: self.memory_bytes }
     }
@@ -133,7 +132,7 @@ fn time_summary(config: &Config, step: u64) -> String {
     format!("time: {length} of training{from}, backend {}", config.backend)
 }
 
-/// Number of the plan's decisions that changed settings, in words; `None` without a plan.
+/// Returns how many of the plan's decisions changed settings, in words; `None` without a plan.
 fn plan_summary(findings: &[Finding]) -> Option<String> {
     let changing = findings.iter().filter(|finding| !finding.changes.is_empty()).count();
     (!findings.is_empty()).then(|| {

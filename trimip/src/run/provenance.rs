@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 use trimip_core::engine::events::Provenance;
 
-/// Provenance of this process, for a test split of `test_views` views.
+/// Returns the provenance of this process, for a test split of `test_views` views.
 pub fn here_and_now(test_views: usize) -> Provenance {
     Provenance {
         command: Some(command(std::env::args_os())),
@@ -16,7 +16,7 @@ pub fn here_and_now(test_views: usize) -> Provenance {
     }
 }
 
-/// Arguments as a shell command line. The program is given by name, without its folder.
+/// Returns arguments as a shell command line. The program is given by name, without its folder.
 fn command(arguments: impl Iterator<Item = OsString>) -> String {
     let words = arguments.enumerate().map(|(i, word)| match i {
         0 => quoted(&Path::new(&word).file_stem().unwrap_or(&word).to_string_lossy()),
@@ -34,7 +34,7 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', "'\\''"))
 }
 
-/// `2024-02-29 13:05 UTC` from seconds since the beginning of 1970 (days to civil date after H. Hinnant,
+/// Formats seconds since the beginning of 1970 as `2024-02-29 13:05 UTC` (days to civil date after H. Hinnant,
 /// chrono-Compatible Low-Level Date Algorithms).
 pub fn date(unix: u64) -> String {
     let days = unix / 86_400 + 719_468;

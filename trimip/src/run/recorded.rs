@@ -51,7 +51,7 @@ impl Recorded {
         Ok(Self { scene: super::train::scene_name(&config), folder, config, settings, history, status })
     }
 
-    /// The record of a training that has ended.
+    /// Returns the record of a training that has ended.
     pub fn of(trained: &Trained) -> Self {
         use super::train::Outcome;
         let status = match &trained.outcome {
@@ -76,7 +76,7 @@ impl Recorded {
     }
 }
 
-/// True for equal values; a number is the same with and without a decimal point.
+/// Returns true for equal values; numbers are equal with and without a decimal point.
 fn is_same(a: &Value, b: &Value) -> bool {
     match (a, b) {
         (Value::Number(a), Value::Number(b)) => a.as_f64() == b.as_f64(),
@@ -87,8 +87,8 @@ fn is_same(a: &Value, b: &Value) -> bool {
     }
 }
 
-/// Sets the origins of settings from the report of their run, where the report has the same values. Without a report the origins
-/// stay.
+/// Sets the origins of settings from the report of their run, where the report has the same values. Without a report
+/// the origins are unchanged.
 fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
     let text = std::fs::read_to_string(folder.json()).unwrap_or_default();
     let report: Value = serde_json::from_str(&text).unwrap_or_default();
@@ -104,7 +104,7 @@ fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
     found.into_iter().for_each(|(path, origin)| settings.set_origin(&path, origin));
 }
 
-/// The state of a finished run, from the judgement of its quality.
+/// Returns the state of a finished run whose quality has been judged.
 fn judged(judgement: Result<()>) -> Status {
     judgement.map_or_else(|error| Status::Failed(error.message()), |()| Status::Finished)
 }

@@ -19,7 +19,7 @@ pub struct Recorder<'a> {
 }
 
 impl<'a> Recorder<'a> {
-    /// Starts recording. `kept` are the events of the folder that the resumed run keeps.
+    /// Starts recording. `kept` are the events in the folder that a resumed run keeps.
     ///
     /// # Errors
     /// When the folder cannot be written.
@@ -33,7 +33,7 @@ impl<'a> Recorder<'a> {
         })
     }
 
-    /// Returns the history, and why the last events could not be written.
+    /// Returns the history, and the reason if the last events could not be written.
     pub fn into_parts(self) -> (History, Option<Error>) {
         (self.history, self.failure)
     }
@@ -43,8 +43,7 @@ impl<'a> Recorder<'a> {
         line.push('\n');
         let place = self.folder.metrics();
         let evaluation = matches!(event, Event::Evaluation { .. });
-        // Evaluations reach the disk before the checkpoint that follows them, so a power failure leaves no gap in the
-        // curve.
+        // Evaluations reach the disk before the checkpoint that follows them, so a power failure leaves no gap in the curve.
         let synced = |file: &File| if evaluation { file.sync_data() } else { Ok(()) };
         self.metrics.write(line.as_bytes()).and_then(|()| synced(&self.metrics.file)).map_err(|error| {
             Error::input(place.display(), format!("cannot write: {error}"), "free some disk space")
@@ -69,7 +68,7 @@ impl EventSink for Recorder<'_> {
     }
 }
 
-/// A writer that keeps the bytes that it could not write and begins with them the next time.
+/// A writer that keeps the bytes that it could not write, and writes them first the next time.
 struct Backlog<W> {
     file: W,
     unwritten: Vec<u8>,

@@ -50,8 +50,8 @@ pub struct ViewRecord {
     /// Distance of its camera to the nearest training camera, world units; `None` in files of earlier versions.
     #[serde(default)]
     pub nearest_distance: Option<f64>,
-    /// That distance as a multiple of the median distance of a training camera to the nearest other one; `None` also if that median
-    /// is 0.
+    /// The distance as a multiple of the median distance between a training camera and its nearest neighbour; `None` also if that median is
+    /// 0.
     #[serde(default)]
     pub nearest_spacings: Option<f64>,
     /// File in `images/` with rendered | photograph | difference, if the view was selected for a picture.
@@ -86,9 +86,9 @@ pub struct FileStore<'a> {
     folder: &'a RunFolder,
     /// Origin of the run's coordinates in the coordinates of the photographs.
     origin: LocalOrigin,
-    /// The training cameras; the record of a test view has its distance to the nearest one.
+    /// The training cameras. The record of a test view has its distance to the nearest one.
     training: TrainingCameras,
-    /// Indices of the test frames with pictures, and their maximum number.
+    /// Indices of the test frames with pictures. `images` is their maximum number.
     picked: Vec<usize>,
     images: usize,
     records: Vec<ViewRecord>,
@@ -97,8 +97,8 @@ pub struct FileStore<'a> {
 }
 
 impl<'a> FileStore<'a> {
-    /// Stores the run of `config`, with pictures of the first `eval.images` test frames that it receives; an evaluation renders
-    /// evenly spaced frames first. The records have the distances of test views to the nearest `training` camera.
+    /// Creates a store for the run of `config`. Stores pictures of the first `eval.images` test frames that it receives; an evaluation
+    /// renders evenly spaced frames first. The records have the distances of test views to the nearest `training` camera.
     pub fn new(folder: &'a RunFolder, config: &Config, training: TrainingCameras) -> Self {
         let (origin, images) = (LocalOrigin::of(&config.data), config.eval.images as usize);
         let (picked, records) = (Vec::new(), Vec::new());
@@ -128,8 +128,8 @@ impl<'a> FileStore<'a> {
         write_atomically(&self.folder.views(), text.as_bytes())
     }
 
-    /// Writes a view's picture, its comparison and its FLIP errors, which are computed here if they were not measured.
-    /// Returns the file names of the comparison and of the errors.
+    /// Writes a view's picture, its comparison and its FLIP errors, and computes these errors if they were not measured. Returns the file
+    /// names of the comparison and of the errors.
     fn write(&self, stem: &str, shown: Shown) -> Result<(String, Option<String>)> {
         let Shown { rendered, sheet, errors } = shown;
         let (images, comparison) = (self.folder.images(), format!("{stem}{COMPARISON}.png"));
@@ -150,7 +150,7 @@ impl<'a> FileStore<'a> {
         Self::recorded(folder).unwrap_or_default()
     }
 
-    /// True if `views.json` and every picture that it names exist.
+    /// Returns true if `views.json` and every picture that it names exist.
     pub fn is_whole(folder: &RunFolder) -> bool {
         let there = |name: &str| folder.images().join(name).is_file();
         let pictured = |comparison: &String| there(comparison) && there(&comparison.replace(COMPARISON, ""));
@@ -231,8 +231,8 @@ fn finite(value: f64) -> Option<f64> {
     value.is_finite().then_some(value)
 }
 
-/// The last component of a photograph's name without extension, safe as a file name: at most 160 bytes, which leaves
-/// room for the rest of a picture's name.
+/// Returns the last component of a photograph's name without extension, safe as a file name: at most 160 bytes, which leaves room for the
+/// rest of a picture's name.
 pub fn file_stem(name: &str) -> String {
     let stem = Path::new(name).file_stem().unwrap_or_default().to_string_lossy();
     let safe = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };

@@ -41,7 +41,7 @@ use trimip_data::{Watch, settings::DataConfig};
 pub struct Listeners<'a> {
     /// Receives every event of the run.
     pub events: &'a mut dyn EventSink,
-    /// Receives the number of photograph rows read, and their total.
+    /// Receives the number of photograph rows that have been read, and the total number.
     pub reading: Watch<'a>,
     /// Observes the model between steps, and may pause the run.
     pub observer: &'a mut dyn Observer,
@@ -95,7 +95,7 @@ pub struct Trained {
     pub history: History,
     /// How the training ended, or why it failed. Progress before a failure is saved.
     pub outcome: Result<Outcome>,
-    /// Why the folder lacks the last events.
+    /// Reason why the folder lacks the last events.
     pub unwritten: Option<Error>,
     /// Fingerprint of the training views; `None` if nothing was done.
     pub data: Option<Fingerprint>,
@@ -111,7 +111,7 @@ impl Trained {
         read_model(self.folder.root())
     }
 
-    /// Size of the model file in bytes; `None` if the run is not finished.
+    /// Returns the size of the model file in bytes; `None` if the run is not finished.
     pub fn model_bytes(&self) -> Option<u64> {
         std::fs::metadata(self.folder.model()).ok().map(|metadata| metadata.len())
     }
@@ -126,7 +126,7 @@ impl Trained {
     }
 }
 
-/// Refuses the finished run of a folder if its photographs differ from those of the settings. Skips the check if the photographs are
+/// Refuses the finished run of a folder if its photographs differ from those that the settings name. Skips the check if the photographs are
 /// missing.
 fn expect_photographs(
     folder: &RunFolder,
@@ -170,12 +170,12 @@ impl Training {
         }
     }
 
-    /// The folder that it trains into.
+    /// Returns the folder that the training writes into.
     pub fn folder(&self) -> &RunFolder {
         &self.folder
     }
 
-    /// If `wanted`, replaces an existing run in the folder.
+    /// Sets whether an existing run in the folder is replaced.
     #[must_use]
     pub fn overwrite(mut self, wanted: bool) -> Self {
         if let Work::Train { fresh, .. } = &mut self.work {
@@ -199,8 +199,8 @@ impl Training {
         self
     }
 
-    /// Sets the rank of this process among those on its machine that train at the same time. Each of them needs as much memory, and
-    /// uses another of the equally good devices.
+    /// Sets the rank of this process among those on its machine that train at the same time. The memory check counts each of them, and if
+    /// several devices are equally good, each process uses a different one.
     #[must_use]
     pub fn with_machine_rank(mut self, near: Rank) -> Self {
         self.near = near;
@@ -320,7 +320,7 @@ impl Training {
         };
         let predicted = backends::predict_memory(&config, &scene.train);
         let overview = Overview::new(&config, &subject, &findings, &predicted, folder.root(), totals.step);
-        // A GPU has its own memory, and its backend reports what does not fit.
+        // A GPU has its own memory, and its backend reports an error if the run does not fit.
         let on_host = config.backend == "cpu";
         if on_host {
             warnings.extend(memory::check(&config, &predicted, self.near.size)?);
@@ -397,7 +397,7 @@ impl Training {
     }
 }
 
-/// Name of the scene without opening its data: the data folder's name.
+/// Returns the name of the scene without opening its data: the name of the data folder.
 pub(super) fn scene_name(config: &Config) -> String {
     let name = Path::new(&config.data.root).file_name();
     name.map_or_else(|| "builtin".to_string(), |name| name.to_string_lossy().into_owned())

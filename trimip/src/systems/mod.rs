@@ -1,5 +1,5 @@
-//! The systems that are compared: each a layer of settings from `trimip/systems`, its title, and the published figures that it is
-//! compared with. A system overrides the defaults, and a user's settings override the system.
+//! The systems that are compared: each has a layer of settings from `trimip/systems`, a title, and the published figures to compare it
+//! with. A system overrides the defaults, and a user's settings override the system.
 //!
 //! A new system is a file in `trimip/systems` and an entry in [`SYSTEMS`].
 
@@ -25,7 +25,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The kind in a word.
+    /// Returns the kind in a word.
     pub fn word(self) -> &'static str {
         match self {
             Self::Whole => "whole",
@@ -39,30 +39,30 @@ impl Kind {
 /// A system.
 #[derive(Clone, Copy, Debug)]
 pub struct System {
-    /// Name: that of its file in `trimip/systems`, and of the folders of its runs.
+    /// Name of the system: that of its file in `trimip/systems`, and of the folders of its runs.
     pub name: &'static str,
     /// Title in tables.
     pub title: &'static str,
-    /// How it relates to the published system.
+    /// Relation to the published system.
     pub kind: Kind,
     /// The text of its settings.
     pub settings: &'static str,
-    /// Name of the published row that it is compared with; see [`published::PUBLISHED`].
+    /// Name of the published row to compare the system with; see [`published::PUBLISHED`].
     pub beside: Option<&'static str>,
     /// Differences from the published system, one line.
     pub differs: &'static str,
 }
 
 impl System {
-    /// The published row that it is compared with.
+    /// Returns the published row to compare the system with.
     pub fn published(&self) -> Option<&'static Published> {
         self.beside.and_then(published::find)
     }
 
-    /// Applies its settings.
+    /// Applies the settings of the system.
     ///
     /// # Errors
-    /// When a setting does not exist or has another type; names file, line and column.
+    /// When a setting does not exist or has another type; the message names file, line and column.
     pub fn apply(&self, settings: &mut Settings) -> Result<()> {
         settings.apply_file(&format!("trimip/systems/{}.toml", self.name), self.settings)
     }
@@ -198,7 +198,7 @@ pub const SYSTEMS: &[System] = &[
     },
 ];
 
-/// The system of this name.
+/// Returns the system with this name.
 ///
 /// # Errors
 /// When there is none; the message lists the names.
@@ -234,8 +234,8 @@ mod tests {
         }
     }
 
-    /// A published system that switches off one decision of the plan switches off all of them, so that a new decision does not change it.
-    /// Only the box may be planned.
+    /// Checks that a published system which switches off one decision of the plan switches off all of them, so that a new decision does not
+    /// change it. Only the box may be planned.
     #[test]
     fn the_plan_decides_all_of_a_system_or_nothing_but_the_box() {
         let mut published = 0;

@@ -1,5 +1,5 @@
-//! Figures that papers published of the systems, with the known conditions of their measurement. They are quoted, never
-//! measured here. PSNR in dB, sizes in megabytes as the papers state them, times in minutes on the papers' GPUs.
+//! Figures that papers published for the systems, with the known conditions of their measurement. They are quoted,
+//! never measured here. PSNR in dB, sizes in megabytes as the papers state them, times in minutes on the papers' GPUs.
 
 use serde::Serialize;
 
@@ -36,7 +36,7 @@ pub struct Published {
 pub const SOURCES: &str = "Sources: tables 1 and 2 and supplement of Tri-MipRF (ICCV 2023); table 1 of Mip-NeRF (ICCV 2021), which the former \
                            repeats; second-hand notes on arXiv 2405.02386, whose original tables were not seen";
 
-/// The averages of coarse photographs that all multi-scale figures are measured on.
+/// How the coarse photographs of all multi-scale figures were averaged.
 pub const CONVENTION: &str = "the public multi-scale set: means of straight RGBA, truncated to 8 bits";
 
 /// A row without figures.
@@ -61,7 +61,7 @@ const NOTES: &str = "notes, second-hand";
 const BOTH: &str = "train + val (its code)";
 const THREE_DAYS: Option<f64> = Some(3.0 * 24.0 * 60.0);
 
-/// A row of the multi-scale table: scales, average, SSIM, *lego*.
+/// Returns a row of the multi-scale table: scales, average, SSIM, *lego*.
 const fn multi(name: &'static str, scales: [f64; 4], average: f64, ssim: f64, lego: f64) -> Published {
     Published {
         name,
@@ -73,7 +73,7 @@ const fn multi(name: &'static str, scales: [f64; 4], average: f64, ssim: f64, le
     }
 }
 
-/// A row that is only in the single-scale table: average, *lego*.
+/// Returns a row that is only in the single-scale table: average, *lego*.
 const fn single(name: &'static str, average: f64, lego: f64) -> Published {
     Published { name, single: Some(average), single_lego: Some(lego), background: "not stated", ..NONE }
 }
@@ -194,7 +194,7 @@ pub const REMARKS: &[&str] = &[
      machine; published points are drawn apart.",
 ];
 
-/// The published row of this name.
+/// Returns the published row with this name.
 pub fn find(name: &str) -> Option<&'static Published> {
     PUBLISHED.iter().find(|published| published.name == name)
 }

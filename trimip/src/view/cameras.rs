@@ -1,5 +1,5 @@
 //! Cameras from a matrix, a position and target, or a path file. World units, OpenGL axes. A pose that is not rigid or
-//! an invalid projection is refused with its location.
+//! an invalid projection is refused; the error states its location.
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -13,7 +13,7 @@ pub const MAX_SIDE: f64 = 16_384.0;
 /// A camera and the name of its pictures.
 pub type Named = (String, Camera);
 
-/// A camera at `eye` that looks at `target`.
+/// Returns a camera at `eye` that looks at `target`.
 ///
 /// # Errors
 /// When the line of sight is parallel to `up`, so the camera's roll is undefined; `place` appears in the message.
@@ -35,7 +35,7 @@ pub fn aimed(
     Ok(Camera::look_at(intrinsics, eye, target, up))
 }
 
-/// All numbers in a JSON value, in order; for an object, those of its `transform_matrix`.
+/// Returns all numbers in a JSON value, in order; for an object, the numbers of its `transform_matrix`.
 pub fn flatten(json: &Value) -> Option<Vec<f64>> {
     match json {
         Value::Number(number) => Some(vec![number.as_f64()?]),
@@ -47,10 +47,10 @@ pub fn flatten(json: &Value) -> Option<Vec<f64>> {
     }
 }
 
-/// A camera from 12 or 16 numbers in row-major order. The 3×3 block must be a rotation.
+/// Returns a camera from 12 or 16 numbers in row-major order. The 3×3 block must be a rotation.
 ///
 /// # Errors
-/// When there are not 12 or 16 finite numbers with a rotation; `place` appears in the message.
+/// When there are not 12 or 16 finite numbers, or their 3×3 block is no rotation; `place` appears in the message.
 pub fn posed(place: impl Into<Place>, matrix: &[f64], intrinsics: Intrinsics) -> Result<Camera> {
     let place = place.into();
     let refuse = |what: String| {
@@ -93,8 +93,8 @@ struct Stated {
     extent: Option<f64>,
 }
 
-/// Cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`. The file has the coordinates of the
-/// photographs; the returned cameras are relative to `origin`.
+/// Reads the cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`. The file
+/// has the coordinates of the photographs; the returned cameras are relative to `origin`.
 ///
 /// # Errors
 /// When the file cannot be read, or a frame has an invalid camera.
@@ -103,7 +103,7 @@ pub fn path(file: &Path, fallback: Intrinsics, origin: LocalOrigin) -> Result<Ve
     Ok(stated.into_iter().map(|(name, camera)| (name, origin.local(camera))).collect())
 }
 
-/// As [`path`], from the text of the file and in its coordinates; `place` names the file in messages.
+/// Like [`path`], from the text of the file and in its coordinates; `place` names the file in messages.
 ///
 /// # Errors
 /// As [`path`].
@@ -137,7 +137,7 @@ pub fn path_of(place: &str, text: &str, fallback: Intrinsics) -> Result<Vec<Name
     Ok(cameras)
 }
 
-/// World width of the longer side of a picture, for models that state it.
+/// Returns the width of the longer side of a picture in world units, for lens models that state it (orthographic).
 fn extent(node: &Value, lens: Lens) -> Option<f64> {
     node.get(lens.model.definition().extent_key?)?.as_f64()
 }
@@ -153,7 +153,7 @@ fn projected(
     let pick = |f: fn(&Projection) -> Option<f64>| f(&own.projection).or(f(&head.projection));
     let width = pick(|p| p.w).unwrap_or(fallback.width.into());
     let height = pick(|p| p.h).unwrap_or(fallback.height.into());
-    // A frame's focal length overrides the file's, in either form.
+    // A frame's focal length overrides the file's; both may be given in pixels or as an angle.
     let focal = |Stated { projection: p, extent }: &Stated| {
         let angle = p.camera_angle_x.filter(|_| definition.angles);
         let x = p.fl_x.or(angle.map(|angle| 0.5 * width / (0.5 * angle).tan()));
@@ -179,7 +179,7 @@ fn projected(
     Ok(Intrinsics { width: width as u32, height: height as u32, fx, fy, cx, cy, ..Intrinsics::default() })
 }
 
-/// The same view with `factor` times as many pixels along each side.
+/// Returns the same view with `factor` times as many pixels along each side.
 ///
 /// # Errors
 /// When a side has less than one or more than 16384 pixels.

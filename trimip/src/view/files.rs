@@ -16,7 +16,7 @@ use trimip_core::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum PictureFormat {
-    /// Colour as 8-bit sRGB; depth (the file stores its range) and opacity as 16-bit grey. One file each.
+    /// Colour as 8-bit sRGB; depth and opacity as 16-bit grey. The depth file stores its range. One file per quantity.
     Png,
     /// One file per view with 32-bit float channels: linear R G B, Z (world units), opacity.
     Exr,
@@ -34,7 +34,7 @@ pub enum Quantity {
     Opacity,
 }
 
-/// Paths of the files that [`write`] writes, in its order.
+/// Returns the paths of the files that [`write`] writes, in the order of writing.
 pub(super) fn paths(out: &Path, name: &str, what: &[Quantity], format: PictureFormat) -> Vec<PathBuf> {
     match format {
         PictureFormat::Exr => vec![out.join(format!("{name}.exr"))],
@@ -47,7 +47,7 @@ pub(super) fn paths(out: &Path, name: &str, what: &[Quantity], format: PictureFo
 /// A rendered view.
 #[derive(Clone, Copy)]
 pub struct Rendered<'a> {
-    /// Name of the view, with which the names of its files begin.
+    /// Name of the view; the names of its files begin with it.
     pub name: &'a str,
     /// Its pixels.
     pub frame: &'a Frame,
@@ -79,7 +79,7 @@ pub fn write(
                         (name, frame.pixels.iter().map(|pixel| pictures::linear(pixel.rgb[c])).collect())
                     }))
                 }
-                // Infinite where the ray hits nothing, as compositing programs expect of Z.
+                // Infinite where the ray hits nothing, because compositing programs expect this of Z.
                 Quantity::Depth => channels.push(("Z", pictures::depth(frame, f32::INFINITY))),
                 Quantity::Opacity => channels.push(("opacity", pictures::opacity(frame))),
             }
@@ -116,7 +116,7 @@ fn suffix(quantity: Quantity) -> &'static str {
     }
 }
 
-/// Depth range of the sphere around the scene's box. Neighbouring views of a turntable share one range.
+/// Returns the depth range of the sphere around the scene's box. Neighbouring views of a turntable share one range.
 pub fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
     let (centre, half) = turntable::middle(scene);
     let (depth, radius) = ((camera.origin - centre).dot(camera.rotation.z_axis), half.length());
@@ -128,7 +128,7 @@ pub fn depth_range(scene: &SceneConfig, camera: &Camera) -> DepthRange {
 /// Name of the file of cameras next to the pictures.
 pub const CAMERAS: &str = "cameras.json";
 
-/// Value of `written_by` in the file of cameras. Pictures next to such a file were written by this program.
+/// Value of `written_by` in the file of cameras. It marks the pictures next to the file as written by this program.
 const WRITER: &str = "trimip";
 
 /// Refuses a folder if the pictures of these views, or their cameras, would replace a file that this program did not

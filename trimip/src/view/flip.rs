@@ -4,10 +4,10 @@ use image::RgbImage;
 #[cfg(feature = "flip")]
 use nv_flip::{FlipImageFloat, FlipImageRgb8, flip, magma_lut};
 
-/// Pixels per degree of the visual field for FLIP, its own default: a screen 0.7 m wide with 3840 pixels, seen from 0.7 m.
+/// Pixels per degree of the visual field, the default of FLIP: a screen 0.7 m wide with 3840 pixels, seen from 0.7 m.
 pub const PIXELS_PER_DEGREE: f32 = 67.0;
 
-/// FLIP of each pixel of two pictures of one size, row by row, 0 (equal) to 1; `None` if this build has no FLIP.
+/// Returns the FLIP error of each pixel of two equally large pictures, row by row, 0 (equal) to 1; `None` if this build has no FLIP.
 pub fn flip_of_pictures(rendered: &RgbImage, target: &RgbImage) -> Option<Vec<f32>> {
     #[cfg(feature = "flip")]
     {
@@ -22,7 +22,7 @@ pub fn flip_of_pictures(rendered: &RgbImage, target: &RgbImage) -> Option<Vec<f3
     }
 }
 
-/// A map of FLIP errors as a picture in the colours of magma: black where no difference is visible, pale yellow at 1; `None` if
+/// Returns a map of FLIP errors as a picture in the colours of magma: black where no difference is visible, pale yellow at 1; `None` if
 /// this build has no FLIP.
 pub fn flip_colors(width: u32, height: u32, errors: &[f32]) -> Option<RgbImage> {
     #[cfg(feature = "flip")]

@@ -1,22 +1,22 @@
-//! A film along the training cameras: a smooth path near all of them, so that the film shows what photographs saw. World units.
+//! A film along the training cameras: a smooth path near all of them, so that the film shows only parts that photographs show. World units.
 
 use super::cameras::Named;
 use glam::{DMat3, DVec3};
 use trimip_core::{Advice, Camera, Error, Intrinsics, Place, Result};
 
-/// Standard deviation of the smoothing, in mean distances between neighbouring cameras.
+/// Standard deviation of the smoothing, in units of the mean distance between neighbouring cameras.
 const SMOOTH: f64 = 1.0;
 
-/// If the path in the order of the photographs is this much longer than the path from each camera to its nearest, the photographs
-/// were not taken one after the other.
+/// Ratio of two path lengths: in the order of the photographs, and from each camera to the nearest one left. If it is greater than this,
+/// the photographs were not taken one after the other.
 const DETOUR: f64 = 1.5;
 
-/// Shorter mean viewing directions count as 0: cameras that look in opposite directions have no mean.
+/// Mean viewing directions shorter than this count as 0: cameras that look in opposite directions have no mean.
 const NO_LOOK: f64 = 1e-6;
 
-/// `count` cameras along `photographed`, evenly spaced from the first to the last, without the distortion of the lens. If the
-/// photographs are out of order, each is followed by its nearest. The length of a camera's turn is its arc at `radius`, the
-/// distance of the subject.
+/// Returns `count` cameras along `photographed`, evenly spaced from the first to the last, without the distortion of the lens. If the
+/// photographs are out of order, the path goes from each camera to the nearest one left. A camera's turn adds its arc at `radius`, the
+/// distance of the subject, to the length of the path.
 ///
 /// # Errors
 /// When all cameras are at one position and look in one direction.
@@ -42,13 +42,13 @@ pub fn cameras(photographed: &[Camera], count: u32, radius: f64) -> Result<Vec<N
     Ok((0..count).map(|i| (format!("{i:04}"), camera(i))).collect())
 }
 
-/// Distance between two cameras: between their positions, plus the arc between their viewing directions at `radius`.
+/// Returns the distance between two cameras: that of their positions, plus the arc between their viewing directions at `radius`.
 fn distance(a: &Camera, b: &Camera, radius: f64) -> f64 {
     let turn = a.rotation.z_axis.angle_between(b.rotation.z_axis);
     (a.origin - b.origin).length() + radius * turn
 }
 
-/// Distance of each camera from the first, along the path.
+/// Returns the distance of each camera from the first, along the path.
 fn places(along: &[Camera], radius: f64) -> Vec<f64> {
     let mut sum = 0.0;
     let steps = along.windows(2).map(|pair| distance(&pair[0], &pair[1], radius));
@@ -62,7 +62,7 @@ fn places(along: &[Camera], radius: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The cameras in their order or, if that is a long detour, from the first to the nearest camera left.
+/// Returns the cameras in the order given or, if that path is much longer, from each camera to the nearest one left.
 fn ordered(photographed: &[Camera], radius: f64) -> Vec<Camera> {
     let length = |along: &[Camera]| places(along, radius).pop().unwrap_or(0.0);
     let mut left = photographed.to_vec();
@@ -75,13 +75,13 @@ fn ordered(photographed: &[Camera], radius: f64) -> Vec<Camera> {
     if length(photographed) > DETOUR * length(&nearest) { nearest } else { photographed.to_vec() }
 }
 
-/// The mean of the cameras around `at`, with Gaussian weights: of their positions, viewing directions and up directions.
+/// Returns the mean of the cameras around `at`, with Gaussian weights: of their positions, viewing directions and up directions.
 fn smoothed(along: &[Camera], places: &[f64], at: f64, spread: f64) -> Camera {
     let away = |i: usize| ((places[i] - at) / spread).powi(2);
     let nearest = (0..along.len()).min_by(|&a, &b| away(a).total_cmp(&away(b))).unwrap_or(0);
     let (mut origin, mut back, mut up, mut sum) = (DVec3::ZERO, DVec3::ZERO, DVec3::ZERO, 0.0);
     for (i, camera) in along.iter().enumerate() {
-        // Relative to the nearest camera, so that a position far from all cameras keeps a weight.
+        // Relative to the nearest camera, so that at least one weight is not 0 at a position far from all cameras.
         let weight = (0.5 * (away(nearest) - away(i))).exp();
         origin += weight * camera.origin;
         back += weight * camera.rotation.z_axis;
@@ -111,7 +111,7 @@ mod tests {
         Intrinsics { lens, ..Intrinsics::from_angle(40, 30, 0.7) }
     }
 
-    /// A camera on a circle of radius 4 that looks at its centre.
+    /// Returns a camera on a circle of radius 4 that looks at its centre.
     fn on_circle(angle: f64) -> Camera {
         let eye = 4.0 * DVec3::new(angle.cos(), angle.sin(), 0.25);
         Camera::look_at(intrinsics(), eye, DVec3::ZERO, DVec3::Z)
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn a_film_stays_where_photographs_were() {
-        // Two arcs with a gap between them, in one file: the film is within their hull, and near one of them.
+        // Two arcs of cameras with a gap between them, in one sequence: the film is within their hull, and always near one of them.
         let angles = (0..12).chain(30..42).map(|i| 0.05 * f64::from(i));
         let photographed: Vec<Camera> = angles.map(on_circle).collect();
         let gap = (photographed[12].origin - photographed[11].origin).length();
@@ -182,7 +182,7 @@ mod tests {
     }
 
     proptest! {
-        /// Any cameras, opposite ones too: every picture of the film has a rigid pose among the cameras.
+        /// For any cameras, including opposite ones, every picture of the film has a rigid pose among the cameras.
         #[test]
         fn every_film_has_rigid_cameras_among_the_photographed(
             placed in prop::collection::vec((prop::array::uniform3(-5.0..5.0), 0.0..6.0, -1.5..1.5), 2..12),

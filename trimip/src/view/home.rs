@@ -6,7 +6,7 @@ use trimip_core::{
     config::{Contraction, SceneConfig},
 };
 
-/// Smallest and largest angle of the initial view, degrees.
+/// Smallest and largest field of view of the initial view, degrees.
 const ANGLES: [f64; 2] = [30.0, 90.0];
 
 /// An initial view for a page.
@@ -14,12 +14,12 @@ const ANGLES: [f64; 2] = [30.0, 90.0];
 pub struct Home {
     /// Camera-to-world matrix [R|t], row by row; axes right, up, back.
     pub pose: [f64; 12],
-    /// Angle across the width of the picture, degrees.
+    /// Horizontal field of view, degrees.
     pub fov: f64,
 }
 
-/// The view of the camera that is nearest to the middle of all training `cameras`: in an unbounded scene, any view from outside
-/// shows parts that no photograph saw. `None` without cameras, and for a bounded scene, whose whole box is visible from outside.
+/// Returns the view of the camera that is nearest to the middle of all training `cameras`. In an unbounded scene, any view from outside
+/// shows parts that no photograph shows. `None` without cameras, and for a bounded scene, whose whole box is visible from outside.
 pub fn home(scene: &SceneConfig, cameras: &[Camera]) -> Option<Home> {
     if scene.contraction == Contraction::None {
         return None;
@@ -31,7 +31,7 @@ pub fn home(scene: &SceneConfig, cameras: &[Camera]) -> Option<Home> {
     let (r, t, k) = (camera.rotation, camera.origin, camera.intrinsics);
     let row = |i: usize| [r.col(0)[i], r.col(1)[i], r.col(2)[i], t[i]];
     let rows = [row(0), row(1), row(2)];
-    // A window may be wide although the photograph is high, so the larger angle counts.
+    // A window may be wide although the photograph is in portrait format, so the larger of its two angles is used.
     let angle = |side: u32, focal: f64| 2.0 * (0.5 * f64::from(side) / focal).atan();
     let fov = angle(k.width, k.fx).max(angle(k.height, k.fy)).to_degrees();
     Some(Home { pose: std::array::from_fn(|i| rows[i / 4][i % 4]), fov: fov.clamp(ANGLES[0], ANGLES[1]) })

@@ -1,4 +1,4 @@
-//! Keeps track of the finished views of a folder, so that many views can be rendered in several sessions.
+//! Keeps track of the finished views in a folder, so that a large set of views can be rendered in several sessions.
 
 use super::{Named, PictureFormat, Quantity, files::paths};
 use std::fs::{File, OpenOptions};
@@ -13,8 +13,8 @@ const LIST: &str = "views.txt";
 /// Beginning of the first line of the list.
 const HEAD: &str = "views rendered by trimip, job ";
 
-/// The finished views of a folder. A job is defined by a model, its cameras, and the quantities and format written;
-/// pictures of another job in the folder are rendered again.
+/// The finished views of a folder. A job is defined by a model, its cameras, and the quantities and format of the pictures. If the folder
+/// has pictures of another job, they are rendered again.
 pub struct RenderJob {
     folder: PathBuf,
     what: Vec<Quantity>,
@@ -24,7 +24,7 @@ pub struct RenderJob {
 }
 
 impl RenderJob {
-    /// Opens the job of a folder. Begins anew if `fresh`, or if the folder has no job or another one.
+    /// Opens the job of a folder. Starts a new list if `fresh`, or if the folder has no job or a different one.
     ///
     /// # Errors
     /// When the list cannot be read or written.
@@ -67,7 +67,7 @@ impl RenderJob {
         Ok(Self { folder: folder.into(), what: what.to_vec(), format, done, list })
     }
 
-    /// The pictures of a view, if the view is finished and its pictures exist.
+    /// Returns the paths of a view's pictures, if the view is finished and its pictures exist.
     pub fn finished(&self, name: &str) -> Option<Vec<PathBuf>> {
         let paths = paths(&self.folder, name, &self.what, self.format);
         (self.done.contains(name) && paths.iter().all(|path| path.is_file())).then_some(paths)
@@ -87,7 +87,7 @@ impl RenderJob {
     }
 }
 
-/// A number that differs for jobs whose pictures differ. It is stored in the list of a folder, so it has to be the same in every
+/// Returns a number that differs for jobs whose pictures differ. It is stored in the list of a folder, so it has to be the same in every
 /// build of this version.
 fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: PictureFormat) -> Result<u64> {
     let mut parts = vec![
@@ -141,7 +141,7 @@ mod tests {
         let job = open(here, &model(1), &cameras(4.0), COLOR);
         assert_eq!(job.finished("0000"), Some(vec![here.join("0000_color.png")]));
         assert_eq!(job.finished("0001"), None, "its picture is gone");
-        // Another model, camera or quantity begins anew, and so does `fresh`.
+        // Another model, camera or quantity starts a new list, and `fresh` does too.
         for job in [
             open(here, &model(2), &cameras(4.0), COLOR),
             open(here, &model(1), &cameras(4.5), COLOR),
@@ -180,8 +180,8 @@ mod tests {
         assert_eq!(fs::read_to_string(here.join(LIST)).unwrap(), "milk\neggs\n");
     }
 
-    /// Checks the first line of a list, which other builds read. The hash of the model is computed here, because new settings
-    /// change it.
+    /// Checks the first line of a list, because other builds read it. The hash of the model is computed here, because new settings change
+    /// it.
     #[test]
     fn a_list_names_its_job_by_a_stated_hash() {
         let folder = tempfile::tempdir().unwrap();

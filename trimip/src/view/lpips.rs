@@ -1,4 +1,4 @@
-//! LPIPS (Zhang et al. 2018): the distance of two pictures in the features of a network, whose weights are an ONNX file.
+//! LPIPS (Zhang et al. 2018): the distance of two pictures in the features of a network, whose weights come from an ONNX file.
 
 use rten::{Model, Value};
 use std::path::Path;
@@ -7,10 +7,10 @@ use trimip_core::{Error, Result};
 /// Minimum side of measured pictures, pixels: the networks halve it four times.
 const LEAST_SIDE: usize = 32;
 
-/// Side of the two equal pictures that test a file, pixels.
+/// Side of the two equal pictures with which a file is tested, pixels.
 const TRIAL: usize = 64;
 
-/// Largest distance of equal pictures that rounding can cause.
+/// Largest distance between equal pictures that rounding can cause.
 const ROUNDING: f32 = 1e-3;
 
 /// A loaded network.
@@ -19,7 +19,7 @@ pub struct Lpips {
 }
 
 impl Lpips {
-    /// Reads an ONNX file and tests it on two equal pictures, whose distance is 0.
+    /// Reads an ONNX file and checks that the distance of two equal pictures is 0.
     ///
     /// # Errors
     /// Of kind `Input`, when the file cannot be read, or is not a network from two pictures to one number.
@@ -48,7 +48,7 @@ impl Lpips {
         Ok(lpips)
     }
 
-    /// Distance of two pictures, colours in [0, 1], rows of `width` pixels; NaN if a side has less than 32 pixels.
+    /// Returns the distance of two pictures with colours in [0, 1] and rows of `width` pixels; NaN if a side has less than 32 pixels.
     ///
     /// # Errors
     /// When the network fails.
@@ -91,7 +91,7 @@ impl Lpips {
 mod tests {
     use super::*;
 
-    /// A field of a protobuf message with bytes.
+    /// Returns a bytes field of a protobuf message.
     fn field(number: u8, bytes: &[u8]) -> Vec<u8> {
         let mut text = vec![number << 3 | 2];
         let mut length = bytes.len();
@@ -103,12 +103,12 @@ mod tests {
         [text, bytes.to_vec()].concat()
     }
 
-    /// An ONNX file of a graph. Each node has an operator, its inputs and its output; `inputs` are pictures, and the result is
-    /// that of the last node.
+    /// Returns the ONNX file of a graph. Each node has an operator, its inputs and its output; `inputs` are pictures,
+    /// and the result is the output of the last node.
     fn onnx(inputs: &[&str], nodes: &[(&str, &[&str], &str)]) -> Vec<u8> {
         let node = |(operator, inputs, output): &(&str, &[&str], &str)| {
             let names: Vec<u8> = inputs.iter().flat_map(|name| field(1, name.as_bytes())).collect();
-            // Means lose their axes: keepdims = 0, an integer.
+            // Means drop the reduced axes: keepdims = 0, an integer.
             let whole = [field(1, b"keepdims"), vec![3 << 3, 0], vec![0xa0, 1, 2]].concat();
             let attribute = if *operator == "ReduceMean" { field(5, &whole) } else { Vec::new() };
             [names, field(2, output.as_bytes()), field(4, operator.as_bytes()), attribute].concat()
@@ -123,7 +123,7 @@ mod tests {
         [vec![1 << 3, 8], field(7, &graph), field(8, &[2 << 3, 13])].concat()
     }
 
-    /// The mean of the squared differences.
+    /// A graph for the mean of the squared differences.
     const SQUARES: [(&str, &[&str], &str); 3] =
         [("Sub", &["a", "b"], "d"), ("Mul", &["d", "d"], "s"), ("ReduceMean", &["s"], "out")];
 
@@ -141,7 +141,7 @@ mod tests {
             let color = |i: usize, k: usize| [(i * k % 7) as f32 / 6.0, (i * k % 5) as f32 / 4.0, 0.25];
             let picture = |k| (0..width * height).map(|i| color(i, k)).collect::<Vec<[f32; 3]>>();
             let (a, b) = (picture(3), picture(4));
-            // Of values in [-1, 1], which are twice as far apart as those in [0, 1].
+            // The network sees values in [-1, 1], which are twice as far apart as values in [0, 1].
             let squares =
                 a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| f64::from(2.0 * (a - b)).powi(2));
             let expected = squares.sum::<f64>() / (3 * width * height) as f64;

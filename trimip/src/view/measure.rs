@@ -1,4 +1,4 @@
-//! Measures of a model per scale on a set of test photographs.
+//! Measures the quality of a model per scale on a set of test photographs.
 
 use crate::ranks;
 use std::cell::RefCell;
@@ -30,7 +30,7 @@ pub struct Measured {
 
 /// Observes an evaluation. Each method returns false to cancel it.
 pub trait Watching {
-    /// Called while rendering: `done` of `total` test views are rendered, and `part` (0 to 1) of the next one.
+    /// Called while rendering: `done` of `total` test views are rendered, and the fraction `part` (0 to 1) of the next one.
     fn rendering(&mut self, done: usize, total: usize, part: f64) -> bool {
         let _ = (done, total, part);
         true
@@ -60,24 +60,24 @@ pub struct RankGroup<'a> {
 pub struct TestViews<'a> {
     /// All test views.
     pub frames: &'a dyn Frames,
-    /// The background, and the convention of the photographs.
+    /// Settings of the background and of the photographs' convention.
     pub data: &'a PhotographsConfig,
-    /// Every n-th view is compared.
+    /// Stride: every n-th view is compared.
     pub stride: usize,
 }
 
 impl<'a> TestViews<'a> {
-    /// Number of views that are compared.
+    /// Returns the number of views that are compared.
     fn count(&self) -> usize {
         self.frames.len().div_ceil(self.stride.max(1))
     }
 
-    /// Index of the frame of view number `job` among the compared ones.
+    /// Returns the index of the frame of compared view number `job`.
     fn index(&self, job: usize) -> usize {
         job * self.stride.max(1)
     }
 
-    /// The frames at all of their scales.
+    /// Returns the frames at all of their scales.
     fn at_every_scale(&self) -> TestFrames<'a> {
         TestFrames { frames: self.frames, data: self.data, finest: 1 }
     }
@@ -140,7 +140,7 @@ pub fn evaluate(
     Ok(Some(Measured { views, scales, mean, seconds: started.elapsed().as_secs_f64() }))
 }
 
-/// Description of the jobs of [`evaluate`], which ranks compare.
+/// Returns the description of the jobs of [`evaluate`], which ranks compare.
 fn description(test: TestViews<'_>, model: &Model) -> Result<String> {
     let TestViews { frames, data, stride } = test;
     // The last bits of f64 may differ between machines.
@@ -154,7 +154,7 @@ fn description(test: TestViews<'_>, model: &Model) -> Result<String> {
     ]))
 }
 
-/// Measures the test views that rank 0 hands out in [`evaluate`]; `watch` can cancel a view.
+/// Measures the test views that rank 0 hands out in [`evaluate`]. `watch` can cancel a view.
 ///
 /// # Errors
 /// When rank 0 is gone, or measures other views.

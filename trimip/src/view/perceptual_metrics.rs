@@ -10,7 +10,7 @@ use trimip_core::{
     },
 };
 
-/// The perceptual measures that this build and the settings have. FLIP and MS-SSIM run in parallel; LPIPS uses all cores.
+/// The perceptual measures that this build and the settings provide. FLIP and MS-SSIM run in parallel; LPIPS uses all cores.
 pub struct PerceptualMetrics {
     #[cfg(feature = "lpips")]
     lpips: Option<super::lpips::Lpips>,
@@ -61,8 +61,8 @@ impl Perception for PerceptualMetrics {
     }
 }
 
-/// Mean FLIP over the compared pixels, and the error of each pixel, 0 for the others. Colours are rounded to 8 bits. The mean is
-/// NaN if a rendered value is not finite.
+/// Returns the mean FLIP error over the compared pixels, and the error of each pixel, which is 0 for the others. Colours are rounded to 8
+/// bits. The mean is NaN if a rendered value is not finite.
 fn flip(pair: &Pair<'_>) -> (f64, Option<Vec<f32>>) {
     let picture = |rgb| pictures::rgb_image(pair.width as u32, pair.height as u32, rgb);
     let Some(mut errors) = flip_of_pictures(&picture(pair.rendered), &picture(pair.target)) else {
@@ -122,14 +122,14 @@ mod tests {
         use super::*;
         use crate::view::flip_colors;
 
-        /// FLIP of two pictures of one colour each by the equations of the paper, in f64: filters change nothing and there is no
-        /// edge, so only the difference of the colours remains.
+        /// Returns the FLIP error of two pictures of one colour each by the equations of the paper, in f64. The filters do not change such
+        /// pictures and they have no edge, so only the difference of the colours remains.
         fn of_colors(a: [u8; 3], b: [u8; 3]) -> f64 {
             let linear = |byte: u8| {
                 let value = f64::from(byte) / 255.0;
                 if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
             };
-            // Lightness, and the opponents after Hunt's adjustment.
+            // Lightness, and the two opponent channels after Hunt's adjustment.
             let seen = |rgb: [f64; 3]| {
                 let sum =
                     |row: [f64; 3]| (0..3).map(|i| row[i] * rgb[i]).sum::<f64>() / row.iter().sum::<f64>();
@@ -172,7 +172,7 @@ mod tests {
             }
         }
 
-        /// A smooth pattern with some noise, in integers so that other programs can reproduce it.
+        /// Returns a smooth pattern with some noise, in integers so that other programs can reproduce it.
         fn pattern(width: u32, height: u32, seed: u32) -> Vec<[f32; 3]> {
             let byte = |x: u32, y: u32, c: u32| {
                 let noise = (x * 7919 + y * 104_729 + c * 31 + seed * 613).wrapping_mul(2_654_435_761) >> 27;
@@ -185,7 +185,7 @@ mod tests {
 
         #[test]
         fn edges_and_noise_differ_as_in_the_authors_newer_program() {
-            // flip-evaluator 1.7 in Python, 67 pixels per degree: 0.471213.
+            // Reference value from flip-evaluator 1.7 in Python at 67 pixels per degree: 0.471213.
             let (a, b) = (pattern(192, 176, 1), pattern(192, 176, 3));
             let one = perceptual(&pair(&a, &b, 192, &[]));
             assert!((one.flip - 0.471_213).abs() < 1e-4, "{}", one.flip);
@@ -202,7 +202,7 @@ mod tests {
 
         #[test]
         fn pixels_that_are_not_compared_do_not_count_and_no_number_is_none() {
-            // The left half differs. It is excluded with a margin that a filter does not reach across.
+            // The left half differs. It is excluded, with a margin as wide as the filters' reach.
             let (width, height) = (60, 20);
             let left = |i: usize| i % width < 30;
             let target = vec![[0.5; 3]; width * height];
@@ -220,7 +220,7 @@ mod tests {
         #[test]
         fn errors_become_magma() {
             let picture = flip_colors(3, 1, &[0.0, 0.5, 1.0]).unwrap();
-            // Ends and middle of matplotlib's magma.
+            // The ends and the middle of matplotlib's magma.
             let expected = [[0, 0, 4], [183, 55, 121], [252, 253, 191]];
             for (pixel, expected) in picture.pixels().zip(expected) {
                 let near = pixel.0.iter().zip(expected).all(|(&a, b): (&u8, u8)| a.abs_diff(b) <= 2);

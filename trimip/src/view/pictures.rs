@@ -8,10 +8,10 @@ use std::path::Path;
 use trimip_core::Advice;
 use trimip_core::{Error, Frame, Result, atomic::write_atomically};
 
-/// Gain of the absolute difference in comparisons: 1/4 of the range is shown at full brightness.
+/// Gain of the absolute difference in comparisons: a difference of 1/4 of the range has full brightness.
 pub const DIFFERENCE_GAIN: f32 = 4.0;
 
-/// Colours in [0, 1] as 8-bit pixels, rounded; NaN becomes black.
+/// Converts colours in [0, 1] to 8-bit pixels, rounded; NaN becomes black.
 pub fn rgb_image(width: u32, height: u32, rgb: &[[f32; 3]]) -> RgbImage {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
     ImageBuffer::from_fn(width, height, |x, y| {
@@ -19,12 +19,12 @@ pub fn rgb_image(width: u32, height: u32, rgb: &[[f32; 3]]) -> RgbImage {
     })
 }
 
-/// Absolute difference per channel, amplified by [`DIFFERENCE_GAIN`].
+/// Returns the absolute difference per channel, multiplied by [`DIFFERENCE_GAIN`].
 pub fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Vec<[f32; 3]> {
     a.iter().zip(b).map(|(a, b)| std::array::from_fn(|c| (a[c] - b[c]).abs() * DIFFERENCE_GAIN)).collect()
 }
 
-/// Rendered view, photograph and difference side by side, 2 white pixels apart.
+/// Places the rendered view, the photograph and their difference side by side, 2 white pixels apart.
 pub fn side_by_side(width: u32, height: u32, rendered: &[[f32; 3]], photograph: &[[f32; 3]]) -> RgbImage {
     const GAP: u32 = 2;
     let mut sheet = RgbImage::from_pixel(3 * width + 2 * GAP, height, Rgb([255; 3]));
@@ -34,7 +34,7 @@ pub fn side_by_side(width: u32, height: u32, rendered: &[[f32; 3]], photograph: 
     sheet
 }
 
-/// The three panels of a [`side_by_side`] sheet.
+/// Returns the three panels of a [`side_by_side`] sheet.
 pub fn panels(sheet: &RgbImage) -> [RgbImage; 3] {
     let width = sheet.width().saturating_sub(4) / 3;
     std::array::from_fn(|i| {
@@ -42,7 +42,7 @@ pub fn panels(sheet: &RgbImage) -> [RgbImage; 3] {
     })
 }
 
-/// A picture as PNG bytes.
+/// Encodes a picture as PNG.
 ///
 /// # Errors
 /// When the picture cannot be encoded.
@@ -71,7 +71,7 @@ pub fn write_frame(path: &Path, frame: &Frame) -> Result<()> {
     write_png(path, rgb_image(frame.width, frame.height, &frame.rgb()))
 }
 
-/// Values between `low` and `high` as 16-bit grey.
+/// Converts values between `low` and `high` to 16-bit grey.
 pub fn grey(
     width: u32,
     height: u32,
@@ -86,13 +86,13 @@ pub fn grey(
     })
 }
 
-/// Expected distance along the optical axis: composited depth over opacity; `empty` where the ray hits nothing.
+/// Returns the expected distance along the optical axis: composited depth / opacity; `empty` where the ray hits nothing.
 pub fn depth(frame: &Frame, empty: f32) -> Vec<f32> {
     let seen = |opacity: f32| opacity > 1e-3;
     frame.pixels.iter().map(|p| if seen(p.opacity) { p.depth / p.opacity } else { empty }).collect()
 }
 
-/// Opacity of every pixel.
+/// Returns the opacity of every pixel.
 pub fn opacity(frame: &Frame) -> Vec<f32> {
     frame.pixels.iter().map(|pixel| pixel.opacity).collect()
 }
@@ -100,14 +100,14 @@ pub fn opacity(frame: &Frame) -> Vec<f32> {
 /// Depths in world units that map to black and white in a grey picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthRange {
-    /// Black.
+    /// Depth that maps to black.
     pub near: f32,
-    /// White; also where the ray hits nothing.
+    /// Depth that maps to white; rays that hit nothing are white too.
     pub far: f32,
 }
 
 impl DepthRange {
-    /// Keys and values stored in a picture file.
+    /// Returns the keys and values that a picture file stores.
     fn stated(self) -> [(&'static str, String); 3] {
         [
             ("depth_near", self.near.to_string()),

@@ -1,5 +1,5 @@
-//! Eight views of a model side by side: around a bounded scene, or, in an unbounded one, along the cameras of the photographs, so
-//! that the views show only what photographs saw. World units.
+//! Eight views of a model side by side. The cameras are around a bounded scene; in an unbounded scene they follow the
+//! cameras of the photographs, so that the views show only what photographs saw. World units.
 
 use super::cameras::Named;
 use super::flythrough;
@@ -13,7 +13,7 @@ use trimip_core::{
     config::{Contraction, SceneConfig},
 };
 
-/// Views of a strip.
+/// Number of views in a strip.
 const VIEWS: u32 = 8;
 
 /// Elevation of the cameras around an object, degrees.
@@ -22,12 +22,12 @@ const ELEVATION: f64 = 20.0;
 /// Horizontal field of view of the cameras, degrees.
 const ANGLE: f64 = 40.0;
 
-/// The cameras of a strip with pictures of `side` × `side` pixels: a little from above around a bounded scene, along
-/// `photographed` through contracted space. Without two different cameras, the strip of contracted space is the circle
-/// too.
+/// Returns the cameras of a strip with pictures of `side` × `side` pixels: a little from above around a bounded scene,
+/// along `photographed` through contracted space. If no two photographed cameras differ, the cameras are on the circle
+/// in contracted space too.
 ///
 /// # Errors
-/// When the scene has no upright view.
+/// When the scene allows no upright view.
 pub fn cameras(scene: &SceneConfig, photographed: &[Camera], side: u32) -> Result<Vec<Named>> {
     let intrinsics = Intrinsics::from_angle(side, side, ANGLE.to_radians());
     if scene.contraction == Contraction::Ball {

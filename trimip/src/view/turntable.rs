@@ -1,5 +1,5 @@
 //! A circle of cameras around the scene's box, at the distance from which each camera sees the whole box. World units.
-//! x, y, z: a corner of the box in a camera's axes, relative to the box's centre.
+//! The names x, y, z are a corner of the box in a camera's axes, relative to the box's centre.
 
 use super::cameras::{Named, aimed};
 use glam::{DMat3, DVec3};
@@ -8,11 +8,11 @@ use trimip_core::{
     config::{Contraction, SceneConfig},
 };
 
-/// Part of the picture, from its centre to a border, that the box may fill.
+/// Fraction of the picture, from its centre to a border, that the box may fill.
 const FILL: f64 = 0.95;
-/// Minimum distance of a fitted camera from the centre, relative to the depth of the nearest corner.
+/// Minimum distance of a fitted camera from the centre, relative to the depth of the corner nearest to the camera.
 const CLEARANCE: f64 = 1.05;
-/// Maximum distance, in half diagonals of the box. Beyond it the box is smaller than a pixel of any picture.
+/// Maximum distance, in half diagonals of the box. At a greater distance the box is smaller than a pixel of any picture.
 const FARTHEST: f64 = 1e9;
 
 /// Camera positions of a turntable. The default is one camera, level with the box's centre, z up.
@@ -24,7 +24,7 @@ pub struct Turntable {
     pub elevation: f64,
     /// Distance from the box's centre in world units; fitted if `None`.
     pub distance: Option<f64>,
-    /// Axis of the circle; up in the pictures.
+    /// Axis of the circle; also the up direction of the pictures.
     pub up: DVec3,
 }
 
@@ -34,7 +34,7 @@ impl Default for Turntable {
     }
 }
 
-/// The cameras of a turntable, evenly spaced on a circle. Each looks at the centre of the scene's box.
+/// Returns the cameras of a turntable, evenly spaced on a circle. Each looks at the centre of the scene's box.
 ///
 /// # Errors
 /// When the elevation, the distance or the axis allows no upright view.
@@ -67,7 +67,7 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
         .collect();
     let distance = match table.distance {
         Some(given) => within(given, half, Place::argument("distance", given))?,
-        // Contracted space is a ball about as wide as the circle of the cameras.
+        // Contracted space is a ball, and the cameras are on a circle of about its radius.
         None if scene.contraction == Contraction::Ball => half.x,
         None => {
             let fitted =
@@ -80,7 +80,7 @@ pub fn cameras(scene: &SceneConfig, table: &Turntable, intrinsics: Intrinsics) -
     outwards.iter().enumerate().map(|(i, back)| Ok((format!("{i:04}"), camera(back)?))).collect()
 }
 
-/// Centre and half extents of the box around the subject.
+/// Returns the centre and half extents of the box around the subject.
 pub fn middle(scene: &SceneConfig) -> (DVec3, DVec3) {
     let subject = scene.subject();
     (subject.centre().into(), subject.half().into())
@@ -97,8 +97,8 @@ fn within(distance: f64, half: DVec3, place: Place) -> Result<f64> {
     Err(Error::input(place, "is out of range", Advice::Argument(expected)))
 }
 
-/// The minimum distance d along `back` from which all corners of a box with these half extents lie within the picture.
-/// A corner at depth d − z projects to x/(d − z)·f from the centre, and likewise y.
+/// Returns the minimum distance d along `back` from which all corners of a box with these half extents lie within the
+/// picture. A corner at depth d − z projects to x/(d − z)·f from the picture's centre; the same holds for y.
 fn fitted(half: DVec3, back: DVec3, up: DVec3, k: &Intrinsics) -> f64 {
     let right = up.cross(back).normalize();
     let to_camera = DMat3::from_cols(right, back.cross(right), back).transpose();
@@ -112,7 +112,7 @@ fn fitted(half: DVec3, back: DVec3, up: DVec3, k: &Intrinsics) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// The corners of a box around the origin.
+/// Returns the corners of a box around the origin.
 fn corners(half: DVec3) -> impl Iterator<Item = DVec3> {
     (0..8).map(move |i| {
         let sign = |bit: u32| if i >> bit & 1 == 1 { 1.0 } else { -1.0 };
@@ -162,15 +162,15 @@ mod tests {
                 }
             }
             prop_assert!(fullest <= FILL + 1e-6, "{fullest}");
-            // The clearance bounds the distance only if a corner of the box points at the camera.
+            // The clearance determines the distance only if a corner of the box points at the camera.
             prop_assert!(fullest >= FILL - 1e-6 || kept_away, "{fullest}");
         }
     }
 
     #[test]
     fn a_cube_seen_along_an_axis_is_fitted_by_its_front() {
-        // Half a side is 1: the front face lies 1 in front of the centre, and from 1/FILL in front of the face it fills
-        // FILL of a picture of 90 degrees.
+        // The half side is 1, so the front face lies 1 in front of the centre. From a distance of 1/FILL to the face,
+        // it fills the fraction FILL of a picture of 90 degrees.
         let k = Intrinsics::from_angle(100, 100, std::f64::consts::FRAC_PI_2);
         let table = Turntable { count: 1, elevation: 0.0, distance: None, up: DVec3::Z };
         let found = cameras(&scene([0.0; 3], [1.0; 3]), &table, k).unwrap();

@@ -8,13 +8,13 @@ use trimip_core::{Advice, Error, Place, Result};
 /// Supported extensions of file names.
 const ENDINGS: [&str; 4] = ["mp4", "mov", "mkv", "webm"];
 
-/// Quality of the encoder, on the scale of H.264's constant rate factor: no difference is visible in motion.
+/// Quality of the encoder, on the scale of H.264's constant rate factor. At this value no difference is visible in motion.
 const QUALITY: &str = "16";
 
 /// Fails if a video of this name cannot be written on this machine.
 ///
 /// # Errors
-/// When the extension is no supported video format, or there is no `ffmpeg`.
+/// When the extension is not that of a supported video format, or there is no `ffmpeg`.
 pub fn check(path: &Path) -> Result<()> {
     let end = path.extension().map(|end| end.to_string_lossy().to_lowercase());
     if !end.is_some_and(|end| ENDINGS.contains(&end.as_str())) {
@@ -36,9 +36,9 @@ pub fn check(path: &Path) -> Result<()> {
     ))
 }
 
-/// Encodes PNG files of one size, in order, at `rate` pictures a second. The video is written to a temporary file next
-/// to `path`, then renamed. `watch` receives the number of pictures done and returns false to stop; the result is then
-/// false, and there is no video.
+/// Encodes PNG files of equal size, in order, at `rate` pictures per second. The video is written to a temporary file
+/// next to `path`, then renamed. `watch` receives the number of pictures done and returns false to stop; the result is
+/// then false, and there is no video.
 ///
 /// # Errors
 /// When a picture cannot be read, or `ffmpeg` fails; the message contains the last line of its output.
@@ -49,7 +49,7 @@ pub fn encode(
     watch: &mut dyn FnMut(usize) -> bool,
 ) -> Result<bool> {
     let failed = |error: &dyn std::fmt::Display| Error::run(format!("{}: {error}", path.display()));
-    // The temporary name keeps the extension, by which ffmpeg chooses the format.
+    // The temporary name keeps the extension, because ffmpeg derives the format from it.
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let partial = path.with_file_name(format!(".{}.{name}", std::process::id()));
     let webm = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("webm"));
@@ -57,7 +57,7 @@ pub fn encode(
     command
         .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-f", "image2pipe", "-c:v", "png"])
         .args(["-framerate", &rate.to_string(), "-i", "pipe:0"])
-        // Most players need even sides and colours at half the resolution.
+        // Most players need even sides and chroma at half the resolution.
         .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-crf", QUALITY]);
     if webm {
         command.args(["-b:v", "0"]);
@@ -82,7 +82,7 @@ pub fn encode(
         }
     }
     if fed != Ok(true) {
-        // If `ffmpeg` takes no more pictures it has already ended, and this has no effect.
+        // If `ffmpeg` accepts no more pictures, it has already ended, and `kill` has no effect.
         let _ = child.kill();
     }
     let output = child.wait_with_output().map_err(|error| failed(&error))?;

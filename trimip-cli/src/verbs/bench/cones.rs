@@ -1,6 +1,6 @@
 //! Error against time per view for 1, 2×2, 4×4 and 8×8 cones per pixel and for the model's own numbers of cones, at every scale. Pictures
-//! are compared with the test photographs, with and without the set's edge exponents, with a true box filter of the finest photographs, and
-//! with the picture of the same model with the most cones, its converged average over a pixel.
+//! are compared with the test photographs, with and without the set's edge exponents; with a true box filter of the finest photographs; and
+//! with the picture of the same model with the most cones, which is its converged average over a pixel.
 
 use crate::args::BenchArguments;
 use crate::curves::aligned;
@@ -23,7 +23,7 @@ use trimip_core::scene::cones::{Division, PixelPattern};
 use trimip_core::{Error, Frame, Result, ViewSet, Viewer};
 use trimip_report::svg::{self, Line, Point};
 
-/// Cones along a side of a pixel, in addition to the model's own numbers. The most cones are the reference.
+/// Numbers of cones along a side of a pixel, in addition to the model's own numbers. The largest number is the reference.
 const SIDES: [u32; 4] = [1, 2, 4, 8];
 
 /// Results for one number of cones at one scale: means over the views.
@@ -31,20 +31,20 @@ const SIDES: [u32; 4] = [1, 2, 4, 8];
 struct ConeRow {
     /// Reduction of the views: 1, 2, 4, 8.
     scale: u32,
-    /// Cones along a side of a pixel.
+    /// Number of cones along a side of a pixel.
     side: u32,
-    /// True for the number of cones that the model's own rule gives.
+    /// True if the model's own rule selects this number of cones.
     own: bool,
-    /// PSNR in dB, as the photographs of the set show silhouettes.
+    /// PSNR in dB, with the set's edge exponents.
     psnr: f64,
     /// PSNR in dB, without the set's edge exponents.
     psnr_plain: f64,
-    /// PSNR in dB, against a true box filter of the finest photographs.
+    /// PSNR in dB relative to a true box filter of the finest photographs.
     psnr_box: f64,
-    /// PSNR in dB, against the average of the most cones; `None` for the most cones.
+    /// PSNR in dB relative to the picture with the most cones; `None` for that picture itself.
     psnr_converged: Option<f64>,
     milliseconds: f64,
-    /// True if no other number of cones at this scale is both faster and nearer to the box filter.
+    /// True if no other number of cones at this scale is both faster and closer to the box filter.
     pareto: bool,
 }
 
@@ -116,7 +116,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     Ok(0)
 }
 
-/// The compared numbers of cones along a side of a pixel, ascending.
+/// Returns the numbers of cones along a side of a pixel that are compared, ascending.
 fn sides(division: &Division, views: &ViewSet) -> Vec<u32> {
     let own = views.views.iter().filter_map(|view| match division.pattern(&view.camera) {
         PixelPattern::Grid(side) => Some(side),
@@ -126,14 +126,14 @@ fn sides(division: &Division, views: &ViewSet) -> Vec<u32> {
     all.into_iter().collect()
 }
 
-/// The model with `side` × `side` cones in every pixel.
+/// Loads the model with `side` × `side` cones in every pixel.
 fn load(model: &Model, side: u32) -> Result<Box<dyn Viewer>> {
     let mut model = model.clone();
     (model.config.renderer.cones, model.config.renderer.cone_width) = (side, 0.0);
     backends::load(&model)
 }
 
-/// PSNR of a rendered view in dB: as the set shows it, without the set's edge exponents, and against the true box filter.
+/// Returns the PSNR of a rendered view in dB: with the set's edge exponents, without them, and relative to the true box filter.
 fn errors(model: &Model, set: &ViewSet, view: usize, factor: u32, rendered: Frame) -> [f64; 3] {
     let data = &model.config.data;
     let seen = |rgb: Vec<[f32; 3]>| compared(set, view, rgb);
@@ -146,7 +146,7 @@ fn errors(model: &Model, set: &ViewSet, view: usize, factor: u32, rendered: Fram
     [psnr(&shown, &target), psnr(&plain, &target), psnr(&plain, &seen(truth))]
 }
 
-/// Marks the rows that no other row of their scale beats in both time and error.
+/// Marks the rows that no other row of the same scale beats in both time and error.
 fn mark_front(rows: &mut [ConeRow]) {
     let points: Vec<_> = rows.iter().map(|row| (row.scale, row.milliseconds, row.psnr_box)).collect();
     for (row, own) in rows.iter_mut().zip(&points) {
@@ -218,7 +218,7 @@ fn write(
     keep("cones.svg", &svg::alone(&lines(rows), "seconds a view").unwrap_or_default())
 }
 
-/// One line per scale: PSNR against the box filter over time.
+/// Returns one line per scale: PSNR relative to the box filter against time.
 fn lines(rows: &[ConeRow]) -> Vec<Line> {
     let mut scales: Vec<u32> = rows.iter().map(|row| row.scale).collect();
     scales.dedup();

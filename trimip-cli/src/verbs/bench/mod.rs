@@ -1,5 +1,6 @@
-//! `bench`: error against time, of training over a set of configurations or of rendering one model: with varied approximations, in several
-//! ways with few samples, or with several numbers of cones per pixel.
+//! `bench`: error against time, of training over a set of configurations or of rendering one model. Rendering is
+//! benchmarked with varied approximations, in several ways with few samples, or with several numbers of cones per
+//! pixel.
 
 mod cones;
 mod page;

@@ -54,7 +54,7 @@ fn csv(rows: &[VariantRow]) -> String {
     csv
 }
 
-/// The LaTeX table for papers; the number after ± is half the difference between the best and the worst seed.
+/// Returns the LaTeX table for papers; the number after ± is half the difference between the best and the worst seed.
 fn latex(rows: &[VariantRow]) -> String {
     let seeds = rows.iter().map(|row| row.seeds).max().unwrap_or(1);
     let head = ["variant", "seconds", "PSNR / dB", "SSIM", "model / MB"];
@@ -84,7 +84,7 @@ fn html(
     machine: &Machine,
     base: &Config,
 ) -> Result<String> {
-    // The first seed represents its variant in the pictures.
+    // In the pictures, the first seed represents its variant.
     let entries: Vec<Entry> = rows
         .iter()
         .zip(svg::COLORS)

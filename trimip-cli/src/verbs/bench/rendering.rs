@@ -1,8 +1,8 @@
-//! Error of rendering against time per frame. The error is the difference from the same model's picture in f64 with very short steps.
-//! Varied are steps, early termination, pruning, hybrid rendering, occupancy cells, precision and cones per pixel. The field is fixed, so
-//! the error is only that of the quadrature and of f32; for another number of cones than the model's it is the difference between the two.
-//! When steps are halved, the order of convergence is printed next to the expected one. A second table has the error of each stage against
-//! f64, on samples of the same view.
+//! Error of rendering against time per frame. The error is the difference from the same model's picture in f64 with very short steps. The
+//! benchmark varies steps, early termination, pruning, hybrid rendering, occupancy cells, precision and cones per pixel. The field is
+//! fixed, so the error is only that of the quadrature and of f32; for another number of cones than the model's, it also contains the
+//! difference between the two numbers. When steps are halved, the observed order of convergence is printed next to the expected one. A
+//! second table has the error of each stage relative to f64, on samples of the same view.
 
 use super::stages::{self, StageError};
 use crate::args::BenchArguments;
@@ -27,10 +27,10 @@ use trimip_core::{Camera, Error, Result};
 use trimip_core::{atomic::write_atomically, field::tensors::Tensor};
 use trimip_data::Watch;
 
-/// Steps along the diagonal of the reference. A picture with half as many shows how far the reference is from its limit.
+/// Number of steps along the diagonal in the reference. A picture with half as many shows how far the reference is from its limit.
 const REFERENCE_STEPS: u32 = 16_384;
 
-/// Frames per measurement; the fastest is reported.
+/// Number of frames per measurement; the time of the fastest is reported.
 const FRAMES: usize = 3;
 
 /// A picture in f64, row-major.
@@ -46,7 +46,7 @@ struct RenderingRow {
     /// The error as PSNR, dB.
     psnr: f64,
     milliseconds: f64,
-    /// log2 of the error at twice the step over the error at this step.
+    /// log2 of the error at twice the step length divided by the error at this step length.
     order: Option<f64>,
 }
 
@@ -163,10 +163,10 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     Ok(0)
 }
 
-/// A function that measures a way to render a model.
+/// Function that measures a way to render a model.
 type Measure<'a> = dyn Fn(&Model, &'static str, String) -> Result<RenderingRow> + 'a;
 
-/// Hybrid rendering, with each setting that chooses its samples varied separately.
+/// Measures hybrid rendering, and varies each setting that selects its samples separately.
 fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<RenderingRow>> {
     let mut base = model.clone();
     base.config.renderer.kind = RendererKind::Hybrid;
@@ -189,7 +189,7 @@ fn hybrid_rows(model: &Model, measure: &Measure<'_>) -> Result<Vec<RenderingRow>
     Ok(rows)
 }
 
-/// Test view 0 at the requested size.
+/// Returns the camera of test view 0 at the requested size.
 fn camera(model: &Model, arguments: &BenchArguments) -> Result<Camera> {
     let frames = trimip_data::open_test(&model.config.section()?)?.frames;
     let set = frames.load(0)?;
@@ -237,7 +237,7 @@ fn distance(a: &Picture, b: &Picture) -> f64 {
     (squares.sum::<f64>() / (3 * a.len()) as f64).sqrt()
 }
 
-/// Error and time of a model's picture.
+/// Measures the error and the time of a model's picture.
 fn measure(
     model: &Model,
     camera: &Camera,

@@ -1,4 +1,4 @@
-//! A training benchmark: what it varies, and the figures of each variant.
+//! A training benchmark: the variants, and the figures of each variant.
 
 use crate::curves::Reach;
 use crate::terminal;
@@ -23,7 +23,7 @@ pub struct Bench {
     pub variants: Vec<Variant>,
     /// Number of seeds per variant.
     pub seeds: u32,
-    /// PSNR levels in dB whose times are reported, ascending.
+    /// PSNR levels in dB, ascending; the times at which runs reach them are reported.
     pub reach: Vec<f64>,
     /// Folder of the runs.
     pub out: PathBuf,
@@ -46,7 +46,7 @@ pub struct VariantRow {
     pub spread: f64,
     /// Mean SSIM of the scales.
     pub ssim: f64,
-    /// Samples kept.
+    /// Mean number of samples kept.
     pub samples: f64,
     /// Size of the model file, bytes.
     pub model_bytes: f64,
@@ -54,14 +54,14 @@ pub struct VariantRow {
     pub peak_memory_bytes: Option<f64>,
     /// True if no other variant is both faster and better.
     pub pareto: bool,
-    /// Mean time at which the seeds reach each PSNR, if all of them do. It is an upper bound if a seed reached the PSNR before its first
-    /// measurement.
+    /// Mean time at which the seeds reach each PSNR; `None` unless all seeds reach it. The time is an upper bound if a
+    /// seed reached the PSNR before its first measurement.
     pub reaches: Vec<Option<Reach>>,
     /// Run folders of the variant.
     pub runs: Vec<PathBuf>,
 }
 
-/// A header, then one row per variant.
+/// Returns a header, then one row per variant.
 pub fn cells(rows: &[VariantRow], reach: &[f64]) -> Vec<Vec<String>> {
     let mut cells = vec![vec![
         "variant".to_string(),

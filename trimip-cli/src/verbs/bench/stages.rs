@@ -1,6 +1,6 @@
-//! Error of each stage against f64, on a model's own samples. The input of each stage is the f32 output of the previous one, so that each
-//! row has only the stage's own rounding. Errors are in units in the last place (ulp) of the f64 result's f32, and relative to the largest
-//! value of the stage.
+//! Error of each stage relative to f64, on a model's own samples. The input of each stage is the f32 output of the previous one, so that
+//! each row has only the stage's own rounding. Errors are in units in the last place (ulp) of the f64 result rounded to f32, and relative
+//! to the largest value of the stage.
 
 use serde::Serialize;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use trimip_core::{
     Backend, Camera, Encoder, Field, Layout, Renderer, Result, Space, engine::backend::Occupancy,
 };
 
-/// Rays along each side of the picture; the rays are spread over it.
+/// Number of rays along each side of the picture, over which the rays are spread.
 const SIDE: u32 = 16;
 
 /// A stage and its errors.
@@ -24,7 +24,7 @@ pub struct StageError {
     pub stage: &'static str,
     /// `f32`, `bf16` or `f16`.
     pub precision: &'static str,
-    /// Values compared.
+    /// Number of values compared.
     pub values: usize,
     /// Median error in units in the last place.
     pub median_ulp: f64,
@@ -32,11 +32,11 @@ pub struct StageError {
     pub high_ulp: f64,
     /// Largest error divided by the largest value.
     pub relative: f64,
-    /// Time of the stage for these samples, including the read-back from the device.
+    /// Time of the stage for these samples in milliseconds, including the read-back from the device.
     pub milliseconds: f64,
 }
 
-/// Measures the stages of a model in every precision that its backend supports.
+/// Measures the errors of a model's stages, in every precision that its backend supports.
 ///
 /// # Errors
 /// When the model does not fit its backend.
@@ -48,7 +48,7 @@ pub fn measure(model: &Model, camera: &Camera) -> Result<Vec<StageError>> {
         if backends::load(&other)?.notes().is_empty() {
             let work = OnBackend { model: &other, camera, precision: name };
             let found = backends::visit_configured(&other.config, work)?;
-            // Only stages with layers are repeated in other precisions.
+            // Only stages with layers are measured again in other precisions.
             rows.extend(found.into_iter().filter(|row| precision == Precision::F32 || layered(row.stage)));
         }
     }
@@ -74,7 +74,7 @@ impl Visitor for OnBackend<'_> {
     }
 }
 
-/// Measures the stages of a model on a backend.
+/// Measures the errors of a model's stages on a backend.
 fn on<B: Backend>(
     backend: &B,
     model: &Model,
@@ -174,7 +174,7 @@ fn on<B: Backend>(
     Ok(rows.map(|((stage, time), errors)| row(stage, precision, time, errors)).collect())
 }
 
-/// Time of a stage after one warm-up run, milliseconds.
+/// Returns the time of a stage after one warm-up run, milliseconds.
 fn timed<B: Backend>(backend: &B, mut work: impl FnMut() + Send) -> f64 {
     backend.install(&mut work);
     let started = Instant::now();
@@ -199,7 +199,7 @@ fn place<B: Backend>(
     backend.write(&mut samples.counts, &[[count, count]]);
 }
 
-/// C = Σ T·α·c + T·background in f64.
+/// Composites C = Σ T·α·c + T·background in f64.
 fn composite(intervals: &[Interval], radiance: &[Radiance], background: [f32; 3]) -> [f64; 3] {
     let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
     for (interval, sample) in intervals.iter().zip(radiance) {
@@ -211,13 +211,13 @@ fn composite(intervals: &[Interval], radiance: &[Radiance], background: [f32; 3]
     std::array::from_fn(|c| rgb[c] + (-depth).exp() * f64::from(background[c]))
 }
 
-/// Distance to the next larger f32.
+/// Returns the distance from a value to the next larger f32.
 fn ulp(value: f64) -> f64 {
     let near = (value.abs() as f32).max(f32::MIN_POSITIVE);
     f64::from(near.next_up()) - f64::from(near)
 }
 
-/// Summarises the errors of a stage; `pairs` are found and expected values.
+/// Summarises the errors of a stage; `pairs` are the found and the expected values.
 fn row(stage: &'static str, precision: &'static str, milliseconds: f64, pairs: &[(f64, f64)]) -> StageError {
     let mut ulps: Vec<f64> = pairs.iter().map(|(found, x)| (found - x).abs() / ulp(*x)).collect();
     ulps.sort_by(f64::total_cmp);

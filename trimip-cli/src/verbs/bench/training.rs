@@ -47,7 +47,7 @@ fn bench(arguments: &BenchArguments, reach: Vec<f64>) -> Result<Bench> {
     })
 }
 
-/// Does this rank's part of [`run`], on ranks other than 0.
+/// Does this rank's part of [`run`]; called on ranks other than 0.
 ///
 /// # Errors
 /// When a setting is wrong.
@@ -55,7 +55,7 @@ pub fn help_run(arguments: &BenchArguments, ranks: &dyn Ranks) -> Result<()> {
     work(&bench(arguments, Vec::new())?, ranks)
 }
 
-/// Does this rank's part of [`measure`], on ranks other than 0.
+/// Does this rank's part of [`measure`]; called on ranks other than 0.
 ///
 /// # Errors
 /// When rank 0 is gone or has other runs.
@@ -64,30 +64,30 @@ pub fn work(bench: &Bench, ranks: &dyn Ranks) -> Result<()> {
 }
 
 impl Bench {
-    /// Folder of a run.
+    /// Returns the folder of a run.
     fn folder(&self, variant: &Variant, seed: u32) -> PathBuf {
         self.out.join(format!("{}-{seed}", slug(&variant.name)))
     }
 
-    /// A digest that is equal on all ranks with the same runs.
+    /// Returns a digest that is equal on all ranks with the same runs.
     fn digest(&self) -> Result<String> {
         let settings = |variant| Ok(Config::from_settings(&with(&self.base, variant, 0)?)?.to_toml());
         let variants = self.variants.iter().map(settings).collect::<Result<Vec<_>>>()?;
         Ok(digest(variants.into_iter().chain([format!("{} {:?}", self.seeds, self.out)])))
     }
 
-    /// Variant and seed of run number `run`.
+    /// Returns the variant and the seed of run number `run`.
     fn variant(&self, run: usize) -> (&Variant, u32) {
         (&self.variants[run / self.seeds as usize], (run % self.seeds as usize) as u32)
     }
 
-    /// Settings of the data set of run number `run`.
+    /// Returns the settings of the data set of run number `run`.
     fn data(&self, run: usize) -> Result<DataConfig> {
         let (variant, seed) = self.variant(run);
         Config::from_settings(&with(&self.base, variant, seed)?)?.section()
     }
 
-    /// The training of run number `run`.
+    /// Returns the training of run number `run`.
     fn training(&self, run: usize) -> Result<Training> {
         let (variant, seed) = self.variant(run);
         Ok(Training::new(with(&self.base, variant, seed)?, &self.folder(variant, seed)))
@@ -116,7 +116,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<VariantRow>>> {
     run_folder::create_writable(out)?;
     let style = if terminal::watched() { ProgressStyle::Bar } else { ProgressStyle::Json };
     if let Some(ranks) = ranks::all() {
-        // The loop below then finds these runs finished. It tries a run that failed on another rank once more here.
+        // The loop below then finds these runs finished. A run that failed on another rank is tried once more in the loop.
         let runs: Vec<usize> = (0..variants.len() * *seeds as usize).collect();
         terminal::aside(format!(
             "{} on {} ranks",
@@ -154,7 +154,7 @@ pub fn measure(bench: &Bench) -> Result<Option<Vec<VariantRow>>> {
     Ok(Some(rows))
 }
 
-/// The variants that the arguments define, the shared settings first.
+/// Returns the variants that the arguments define; the shared settings come first.
 fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     let mut variants = Vec::new();
     if !arguments.no_base {
@@ -185,7 +185,7 @@ fn variants(arguments: &BenchArguments) -> Result<Vec<Variant>> {
     }
 }
 
-/// The variants of `--try`.
+/// Returns the variants of `--try`.
 pub fn tried(texts: &[String]) -> Result<Vec<Variant>> {
     let variant = |text: &String| {
         let (name, assignments) = text.split_once(':').ok_or_else(|| {
@@ -203,7 +203,7 @@ fn slug(name: &str) -> String {
     letters.collect::<String>().trim_matches('-').to_lowercase()
 }
 
-/// Settings of a variant's run; later assignments win. Seeds count up from the configured one.
+/// Returns the settings of a variant's run; later assignments win. `seed` is added to the configured seed.
 fn with(base: &Settings, variant: &Variant, seed: u32) -> Result<Settings> {
     let mut settings = base.clone();
     variant.assignments.iter().try_for_each(|assignment| settings.apply_assignment(assignment))?;

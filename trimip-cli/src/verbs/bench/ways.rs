@@ -1,6 +1,6 @@
-//! Error against time per frame for ways to render with few samples, at every scale of the test views: against the photographs, and against
-//! converged volume rendering of the same model. The ways are volume rendering with longer steps, with steps that follow the cone and with
-//! early termination, and hybrid rendering over each of its settings; or the ways of `--try`.
+//! Error against time per frame for ways to render with few samples, at every scale of the test views. The error is relative to the
+//! photographs, and to converged volume rendering of the same model. The ways are volume rendering with longer steps, with steps that
+//! follow the cone and with early termination, and hybrid rendering with each of its settings varied; or the ways of `--try`.
 
 use super::training::{Variant, tried};
 use crate::args::BenchArguments;
@@ -26,13 +26,13 @@ use trimip_core::{Error, Result, Viewer};
 use trimip_report::page;
 use trimip_report::svg::{self, Line, Point};
 
-/// Factor by which the steps of converged volume rendering are shorter than the model's.
+/// Factor by which converged volume rendering shortens the model's steps.
 const SHORTER: u32 = 4;
 
 /// Name of the baseline: volume rendering as the model configures it.
 const BASE: &str = "volume";
 
-/// A way to render. The ways of a family differ in one thing.
+/// A way to render. The ways of a family differ in one setting.
 struct Way {
     family: String,
     name: String,
@@ -46,17 +46,17 @@ struct WayRow {
     scale: u32,
     family: String,
     name: String,
-    /// PSNR in dB, as the photographs of the set show silhouettes.
+    /// PSNR in dB, with the set's edge exponents.
     psnr: f64,
-    /// PSNR minus that of the first way, dB.
+    /// PSNR minus the PSNR of the first way, dB.
     gain: f64,
-    /// PSNR in dB, against converged volume rendering.
+    /// PSNR in dB relative to converged volume rendering.
     psnr_converged: f64,
-    /// Time per frame.
+    /// Time per frame, milliseconds.
     milliseconds: f64,
-    /// Time per frame of the first way divided by that of this one.
+    /// Time per frame of the first way divided by the time per frame of this one.
     speed: f64,
-    /// True if no other way at this scale is both faster and nearer to converged volume rendering.
+    /// True if no other way at this scale is both faster and closer to converged volume rendering.
     pareto: bool,
 }
 
@@ -76,7 +76,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     let fraction = 1.0 / indices.len() as f64;
     for &index in &indices {
         let set = scene.frames.load(index)?;
-        // Coarse scales come first: the first pictures of a session allocate its memory, so they should be the cheap ones.
+        // Coarse scales come first: the first pictures of a session also allocate its memory, so they should be the cheap ones.
         let views = set.scales.iter().rev().flat_map(|s| s.views.clone().map(move |view| (s.factor, view)));
         for (factor, view) in views {
             let camera = &set.views[view].camera;
@@ -119,7 +119,7 @@ pub fn run(arguments: &BenchArguments, path: &Path) -> Result<u8> {
     Ok(0)
 }
 
-/// The model's converged volume rendering.
+/// Returns the model with the settings of converged volume rendering.
 fn converged(model: &Model) -> Model {
     let mut model = model.clone();
     let renderer = &mut model.config.renderer;
@@ -129,7 +129,7 @@ fn converged(model: &Model) -> Model {
     model
 }
 
-/// The ways to compare. The first is volume rendering as the model configures it.
+/// Returns the ways to compare. The first is volume rendering as the model configures it.
 fn ways(model: &Model, arguments: &BenchArguments) -> Result<Vec<Way>> {
     let has_proxy = Proxy::is_in(&assets(&model.file));
     let mut ways = vec![way(model, BASE, &Variant { name: BASE.into(), assignments: vec![volume()] })?];
@@ -155,7 +155,7 @@ fn volume() -> String {
     "renderer.kind=volume".into()
 }
 
-/// Family, name and settings of the default ways, used without `--try`.
+/// Returns the family, name and settings of the default ways, which are used without `--try`.
 fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<String>)> {
     let mut all = Vec::new();
     for longer in [1.5, 2.0, 3.0] {
@@ -212,7 +212,7 @@ fn catalogue(steps: u32, has_proxy: bool) -> Vec<(&'static str, String, Vec<Stri
     all
 }
 
-/// Sets `gain` and `speed` against the first row of the same scale, and `pareto` against all of them.
+/// Sets `gain` and `speed` relative to the first row of the same scale, and `pareto` relative to all rows of that scale.
 fn compare(rows: &mut [WayRow]) {
     let all: Vec<_> = rows.iter().map(|r| (r.scale, r.psnr, r.milliseconds, r.psnr_converged)).collect();
     for (row, own) in rows.iter_mut().zip(&all) {
@@ -323,7 +323,7 @@ fn write(
     keep("ways.html", &page::whole("Ways to render with few samples – Tri-MipRF", &(head + &sections)))
 }
 
-/// One line per family at a scale.
+/// Returns one line per family at a scale.
 fn lines(rows: &[WayRow], value: fn(&WayRow) -> f64) -> Vec<Line> {
     let point = |row: &WayRow| Point {
         seconds: 1e-3 * row.milliseconds,

@@ -9,7 +9,7 @@ use trimip::{
 use trimip_core::{atomic::write_atomically, scene::origin::LocalOrigin};
 use trimip_view::page;
 
-/// Files of the page's program, which `tools/web.sh` builds.
+/// Files of the page's program. `tools/web.sh` builds them.
 const PROGRAM: [&str; 2] = ["trimip_web.js", "trimip_web_bg.wasm"];
 
 /// File name of the model.

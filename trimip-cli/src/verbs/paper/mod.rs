@@ -30,12 +30,12 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     let request = Request::new(arguments)?;
     plan::lines(&request).iter().for_each(terminal::aside);
     create_writable(&request.out)?;
-    // Two processes would write the same page, and train the same runs.
+    // Without the lock, two processes would write the same page and train the same runs.
     let _held = RunFolder::new(&request.out).lock()?;
     let mut comparison = request.comparison();
     let stop = interrupt::install()?;
     if let Some(ranks) = ranks::all() {
-        // The loop below then finds these runs trained, and measures them.
+        // The loop below then finds these runs trained, and only measures them.
         let waiting: Vec<usize> =
             (0..request.jobs.len()).filter(|&i| !request.jobs[i].is_trained()).collect();
         if !jobs::spread(
@@ -81,7 +81,7 @@ pub fn run(arguments: &PaperArguments) -> Result<u8> {
     }
 }
 
-/// Does this rank's part of [`run`], on ranks other than 0.
+/// Does this rank's part of [`run`]; called on ranks other than 0.
 ///
 /// # Errors
 /// When a scene or a setting is wrong.
@@ -91,7 +91,7 @@ pub fn work(arguments: &PaperArguments, ranks: &dyn Ranks) -> Result<()> {
 }
 
 impl PaperRun {
-    /// True if the run is trained, whether or not it is measured.
+    /// Returns true if the run is trained, whether or not it has been measured.
     fn is_trained(&self) -> bool {
         History::of(&self.folder.events()).finished
     }
@@ -118,7 +118,7 @@ fn carry_out(job: &PaperRun) -> (Status, Option<Figures>) {
     concluded(train::train(Training::new(job.measuring.clone(), job.folder.root()), style), style)
 }
 
-/// The status and the figures of a training that has ended.
+/// Returns the status and the figures of a training that has ended.
 fn concluded(trained: Result<Trained>, style: ProgressStyle) -> (Status, Option<Figures>) {
     let failed = |error: Error| match error.kind() {
         ErrorKind::Stopped => Status::Stopped,
@@ -146,13 +146,13 @@ fn write(request: &Request, comparison: &Comparison) -> Result<()> {
 }
 
 impl Request {
-    /// A digest that is equal on all ranks with the same jobs.
+    /// Returns a digest that is equal on all ranks with the same jobs.
     fn digest(&self) -> String {
         let job = |job: &PaperRun| format!("{} {:?}", job.config.to_toml(), job.folder.root());
         digest(self.jobs.iter().map(job))
     }
 
-    /// The comparison before the first run.
+    /// Returns the comparison before the first run.
     fn comparison(&self) -> Comparison {
         let run = |job: &PaperRun| Run {
             scales: job.scales,
@@ -177,7 +177,7 @@ impl Request {
     }
 }
 
-/// The table of systems for a terminal.
+/// Returns the table of systems for a terminal.
 fn list() -> String {
     let mut rows = vec![["name", "system", "kind", "compared with"].map(String::from).to_vec()];
     rows.extend(SYSTEMS.iter().map(|system| {
@@ -203,7 +203,7 @@ fn list() -> String {
     text.join("\n")
 }
 
-/// A table of results for a terminal.
+/// Returns a table of results for a terminal.
 fn table(scales: Scales, rows: &[TableRow]) -> String {
     let columns = columns(scales, rows);
     let mut cells = vec![vec![scales.title().to_string()]];

@@ -1,4 +1,4 @@
-//! What a command will run, and the time that it will take; printed before it starts.
+//! The runs of a command and the time that they will take, printed before the first run starts.
 
 use super::request::{PaperRun, Request};
 use crate::terminal::{count, duration};
@@ -11,7 +11,7 @@ struct State {
     done: f64,
     /// Seconds of training so far.
     seconds: f64,
-    /// Seconds of evaluations, if the run is finished.
+    /// Seconds of evaluations; `None` unless the run is finished.
     evaluation: Option<f64>,
 }
 
@@ -29,7 +29,7 @@ impl State {
     }
 }
 
-/// The plan, one line each.
+/// Returns the plan as lines of text.
 pub fn lines(request: &Request) -> Vec<String> {
     let states: Vec<State> = request.jobs.iter().map(State::of).collect();
     let finished = states.iter().filter(|state| state.evaluation.is_some()).count();
@@ -53,7 +53,7 @@ pub fn lines(request: &Request) -> Vec<String> {
     lines
 }
 
-/// The expected time of the runs that are left.
+/// Returns the expected time of the runs that are left, in words.
 fn time(jobs: &[PaperRun], states: &[State], stride: u32) -> String {
     let (mut training, mut unknown) = (0.0, Vec::new());
     for (job, state) in jobs.iter().zip(states).filter(|(_, state)| state.evaluation.is_none()) {
@@ -87,7 +87,7 @@ fn time(jobs: &[PaperRun], states: &[State], stride: u32) -> String {
     text
 }
 
-/// Seconds of training left; `None` for a budget of steps if no run of the same system has begun.
+/// Returns the seconds of training left; `None` for a budget of steps if no run of the same system has begun.
 fn left(job: &PaperRun, state: &State, jobs: &[PaperRun], states: &[State]) -> Option<f64> {
     let train = &job.config.train;
     if train.steps == 0 {

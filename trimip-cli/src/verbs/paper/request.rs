@@ -1,4 +1,4 @@
-//! The list of runs that the command line asks for: scenes, systems, seeds and scales. All errors of the input are found here, before the
+//! The list of runs that the command line requests: scenes, systems, seeds and scales. All errors of the input are found here, before the
 //! first run starts.
 
 use crate::args::{PaperArguments, Schedule, Split, TableScales};
@@ -11,7 +11,7 @@ use trimip::systems::{self, SYSTEMS, System};
 use trimip::{Config, Error, Result, RunFolder, Settings, backends};
 use trimip_core::text;
 
-/// Default seconds of training per run: the time of the paper on its GPU.
+/// Default training time per run, seconds: the time of the paper on its GPU.
 const SECONDS: f64 = 300.0;
 
 /// Folder of the single-scale runs within the output folder.
@@ -22,7 +22,7 @@ const SINGLE: &str = "single-scale";
 pub struct Scene {
     /// Name of the scene's folder.
     pub name: String,
-    /// `data.root`.
+    /// Value of `data.root`.
     pub root: String,
 }
 
@@ -53,7 +53,7 @@ impl PaperRun {
 pub struct Request {
     pub systems: Vec<&'static System>,
     pub scenes: Vec<Scene>,
-    /// Blender scenes that the named folders lack.
+    /// Blender scenes that are not in the named folders.
     pub missing: Vec<&'static str>,
     pub scales: Vec<Scales>,
     pub split: Vec<&'static str>,
@@ -106,7 +106,7 @@ impl Request {
         Ok(request)
     }
 
-    /// Path of the page.
+    /// Returns the path of the page.
     pub fn page(&self) -> PathBuf {
         self.out.join("paper.html")
     }
@@ -128,7 +128,7 @@ impl Request {
         for job in &self.jobs {
             backends::check(&job.config.backend)?;
             let data: DataConfig = job.config.section()?;
-            // Systems share the data of a scene, so each data set is checked once.
+            // Several systems share the data of a scene, so each data set is checked only once.
             if sets.contains(&data) {
                 continue;
             }
@@ -147,7 +147,7 @@ impl Request {
     }
 }
 
-/// The scenes of the named folders, and the Blender scenes that collections of scenes lack.
+/// Returns the scenes of the named folders, and the Blender scenes that collections of scenes lack.
 fn scenes(folders: &[PathBuf]) -> Result<(Vec<Scene>, Vec<&'static str>)> {
     let (mut roots, mut missing) = (Vec::new(), Vec::new());
     for folder in folders {
@@ -178,21 +178,21 @@ fn scenes(folders: &[PathBuf]) -> Result<(Vec<Scene>, Vec<&'static str>)> {
     Ok((scenes, missing))
 }
 
-/// The systems with these names, in the order of the tables; all systems if no names are given.
+/// Returns the systems with these names, in the order of the tables; all systems if no names are given.
 fn chosen(names: &[String]) -> Result<Vec<&'static System>> {
     let named: Vec<&System> = names.iter().map(|name| systems::find(name.trim())).collect::<Result<_>>()?;
     let wanted = |system: &&System| names.is_empty() || named.iter().any(|other| other.name == system.name);
     Ok(SYSTEMS.iter().filter(wanted).collect())
 }
 
-/// The requested tables, without repetitions.
+/// Returns the requested tables, without repetitions.
 fn tables(wanted: &[TableScales]) -> Vec<Scales> {
     let has = |scales| wanted.contains(&scales);
     let all = [(TableScales::Four, Scales::Four), (TableScales::One, Scales::One)];
     all.into_iter().filter(|(own, _)| has(*own)).map(|(_, scales)| scales).collect()
 }
 
-/// The setting that an assignment names, as a dotted path.
+/// Returns the setting that an assignment names, as a dotted path.
 fn path(assignment: &str) -> &str {
     assignment.split('=').next().unwrap_or_default().trim()
 }
@@ -201,11 +201,11 @@ fn path(assignment: &str) -> &str {
 struct Layers {
     /// Name and text of the configuration file.
     file: Option<(String, String)>,
-    /// Assignments that make systems comparable: the same data, views and budget.
+    /// Assignments that make systems comparable: equal data, views and budget.
     shared: Vec<String>,
     /// The user's assignments.
     set: Vec<String>,
-    /// Every `stride`-th test view is measured at the end.
+    /// Stride of the final evaluation: every n-th test view is measured.
     stride: u32,
 }
 
@@ -243,7 +243,7 @@ impl Layers {
         Ok(Self { file, shared, set: arguments.set.clone(), stride: request.stride })
     }
 
-    /// The run of a system on a scene; `seed` is added to the configured one.
+    /// Returns the run of a system on a scene; `seed` is added to the configured seed.
     fn job(
         &self,
         system: &'static System,
@@ -264,7 +264,7 @@ impl Layers {
         for assignment in data.iter().chain(&self.shared) {
             settings.apply_assignment(assignment)?;
         }
-        // Settings of one encoder only apply to systems that have this encoder.
+        // Settings of one encoder apply only to systems that have this encoder.
         let encoder = Config::from_settings(&settings)?.encoder.kind;
         for assignment in self.set.iter().filter(|assignment| encoder.takes(path(assignment))) {
             settings.apply_assignment(assignment)?;
