@@ -1,5 +1,5 @@
-//! Criterion: the matrix kernels on a block of rows that stays in L2, for every instruction set and both precisions,
-//! next to `matrixmultiply`. Throughput counts multiply-adds; FLOP/s is twice `elem/s`.
+//! Criterion benchmarks of the matrix kernels on a block of rows that stays in L2, for every instruction set and both
+//! precisions, compared with the crate `matrixmultiply`. Throughput counts multiply-adds; FLOP/s is twice `elem/s`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use std::hint::black_box;

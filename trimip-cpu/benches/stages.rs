@@ -1,6 +1,7 @@
-//! Criterion: each stage on one thread over one large tile, with the widest instruction set and in plain Rust, and a
-//! whole training step on all cores. Throughput is in samples (in rays for ray generation, in parameters for the end
-//! of a step), so `elem/s` compares stages with each other and with the step.
+//! Criterion benchmarks: each stage on one thread over one large tile, both with the widest instruction set and in
+//! plain Rust, and a whole training step on all cores. Throughput is in samples (in rays for ray generation, in
+//! parameters for the end of a step), so the `elem/s` of a stage can be compared with those of other stages and of the
+//! whole step.
 
 use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, Criterion, Throughput, criterion_group, criterion_main};
@@ -17,7 +18,7 @@ use trimip_cpu::CpuBackend;
 use trimip_cpu::simd::Simd;
 use trimip_data::settings::DataConfig;
 
-/// The paper's model on small views of the built-in scene.
+/// Returns the configuration of the paper's model, and small views of the built-in scene.
 fn scene(samples: u32) -> (Config, ViewSet) {
     let mut config = Config::default();
     config.train.samples_per_step = samples;
@@ -32,7 +33,7 @@ fn scene(samples: u32) -> (Config, ViewSet) {
     (config, views)
 }
 
-/// A ball: roughly the occupied cells of the built-in scene.
+/// Returns the bits of an occupancy grid whose occupied cells form a ball, roughly those of the built-in scene.
 fn ball(resolution: u32) -> Vec<u8> {
     let cells = resolution.pow(3);
     let mut bits = vec![0; cells as usize / 8];
@@ -61,7 +62,8 @@ fn stages(criterion: &mut Criterion) {
     }
 }
 
-/// Every stage of a step on one thread. Only those of the field and the end of the step depend on the precision.
+/// Benchmarks every stage of a step on one thread. Only the field's stages and the end of the step depend on the
+/// precision.
 fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: ViewSet, simd: Simd) {
     let backend = CpuBackend::new(1, simd).expect("one thread");
     let mut stages = backend.stages(config, Some(views)).expect("views that fit");
@@ -144,7 +146,7 @@ fn one_by_one(group: &mut BenchmarkGroup<'_, WallTime>, config: &Config, views: 
         let arrays = FieldBackward { features, radiance, radiance_gradients, feature_gradients };
         stages.field.backward(tile, arrays, field_context, &mut partial.field);
     });
-    // Accumulating a tile's gradients is timed separately from joining them at the end of the step.
+    // Accumulating a tile's gradients is timed separately from reducing all partial gradients at the end of the step.
     let mut gradient = backend.zeros(layout.len());
     let mut partials = [partial];
     let mut timed = |stages: &mut Stages<CpuBackend>, count: u64, end_of_step: bool| {
@@ -195,7 +197,7 @@ fn step(criterion: &mut Criterion) {
         let start = || {
             let backend = CpuBackend::new(0, Simd::detect()).expect("threads");
             let mut trainer = Trainer::new(backend, &config, views.clone()).expect("views that fit");
-            // Skips the first steps, whose rays meet a grid that is occupied everywhere.
+            // Skips the first steps, in which the occupancy grid is still occupied everywhere.
             for _ in 0..24 {
                 trainer.step(0.0).expect("a finite step");
             }

@@ -23,14 +23,15 @@ use trimip_core::{Backend, Config, Encoder, Error, Field, Layout, Optimizer, Pix
 /// step.
 const SAMPLES_PER_DEPOSIT: u32 = 1024;
 
-/// Number of sets of partial gradients of a step of `samples` samples: enough to balance the load of many cores.
+/// Returns the number of sets of partial gradients for a step of `samples` samples: enough sets to balance the load of
+/// many cores.
 pub fn partials(samples: u32) -> usize {
     (samples / SAMPLES_PER_DEPOSIT).clamp(16, 256) as usize
 }
 
 impl CpuBackend {
-    /// Precision of the networks' products: bf16 if it is configured and the processor has bf16 instructions or
-    /// emulation is allowed; otherwise f32.
+    /// Returns the precision of the networks' products: bf16 if it is configured and the processor has bf16
+    /// instructions or emulation is allowed; otherwise f32.
     fn precision(&self, config: &Config) -> Precision {
         match config.field.precision {
             Precision::Bf16 if self.emulates_bf16 || self.simd.has_bf16() => Precision::Bf16,
@@ -49,7 +50,7 @@ impl CpuBackend {
     }
 }
 
-/// Least number of jobs per thread, given enough tiles.
+/// Minimum number of jobs per thread, if there are enough tiles.
 const SHARES: usize = 64;
 
 impl Backend for CpuBackend {
@@ -169,10 +170,10 @@ impl Backend for CpuBackend {
         result: &(dyn Fn(&Workspace<Self>) -> &Buffer<T> + Sync),
     ) {
         let Tiling { count, per_tile } = tiling;
-        // A ray has hundreds of samples or none; a probe has exactly one.
+        // Rays are processed in groups, because a ray has hundreds of samples or none. A probe has exactly one sample.
         let rays = TypeId::of::<T>() == TypeId::of::<Pixel>();
         out.resize(count as usize);
-        // Jobs small enough that no thread waits long for the last one, and large enough to cover adjacent tiles.
+        // A job covers up to 8 adjacent tiles; fewer, if threads would otherwise wait long for the last job.
         let tiles = count.div_ceil(per_tile) as usize;
         let most = (tiles / (SHARES * rayon::current_num_threads())).clamp(1, 8);
         out.par_chunks_mut(per_tile as usize).enumerate().with_max_len(most).for_each(|(i, mut out)| {

@@ -1,4 +1,5 @@
-//! A flat array aligned to a cache line, so that a row of 16 features is one line and one vector register.
+//! A flat array aligned to a cache line, so that a row of 16 features fills exactly one cache line and one vector
+//! register.
 
 use crate::pages::{Line, Lines};
 use bytemuck::Pod;
@@ -57,14 +58,15 @@ impl<T: Pod> Buffer<T> {
         self.length = kept.len() * width;
     }
 
-    /// Appends the rows `rows` of `from`, of `width` values each.
+    /// Appends those rows of `from` whose indices are in `rows`. A row has `width` values.
     pub fn append_rows(&mut self, from: &[T], rows: &[u32], width: usize) {
         let start = self.length;
         self.resize(start + rows.len() * width);
         copy_rows(&mut self[start..], from, rows, width);
     }
 
-    /// Replaces the values by the rows `rows` of `from`, of `width` values each, and makes room for `padded` rows.
+    /// Replaces the values with those rows of `from` whose indices are in `rows`. A row has `width` values, and the
+    /// buffer then has the length of `padded` rows.
     pub fn gather_rows(&mut self, from: &[T], rows: &[u32], width: usize, padded: usize) {
         self.resize(padded * width);
         copy_rows(self, from, rows, width);

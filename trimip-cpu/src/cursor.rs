@@ -7,19 +7,19 @@ use trimip_core::math::rng::Sequence;
 /// The progress of marching along a ray.
 #[derive(Clone, Copy, Debug)]
 pub struct Cursor {
-    /// Parameter of the start of the first step: the distance, in a bounded space.
+    /// Ray parameter at the start of the first step. In a bounded space, the parameter is the distance along the ray.
     pub first: f32,
-    /// Parameter at which the ray leaves the space; −∞ if it misses it.
+    /// Ray parameter at which the ray leaves the space; −∞ if the ray misses the space.
     pub leave: f32,
-    /// Length of a step of the parameter.
+    /// Step length, as a difference of ray parameters.
     pub step: f32,
     /// Number of steps done.
     pub index: f32,
 }
 
 impl Cursor {
-    /// The cursor of a ray at its entry into the box, before its first step. `jitter` moves the first step by a
-    /// random fraction of a step; `index` is the ray's index within the training step.
+    /// Creates the cursor of a ray at its entry into the box, before its first step. If `jitter` holds a training step,
+    /// the first step starts a random fraction of a step later; `index` is the ray's index within the training step.
     pub fn new(policy: &RendererPolicy, ray: &Ray, jitter: Option<u64>, index: u32) -> Self {
         let (enter, leave) = policy.space.parameterisation(ray.origin, ray.direction).range();
         let offset = jitter.map_or(0.0, |step| policy.random.uniform(Sequence::Jitter, step, index)[0]);

@@ -1,9 +1,9 @@
 //! Training on several ranks, bit-identical to training on one. Neither a step's partial gradients nor the tree in which they are
 //! added up ([`ReductionTree`](crate::reduction_tree::ReductionTree)) depend on the number of ranks.
 //!
-//! With an encoder that can be divided ([`Divided`](crate::encoders::Divided)), each rank sums its own leaves of a step. It then
-//! adds up the sums of all ranks for its part of the parameters, updates this part, and sends the changed parameters to the others.
-//! With any other encoder, every rank receives all partial gradients.
+//! If the encoder's parameters can be divided among ranks ([`Divided`](crate::encoders::Divided)), each rank sums the gradients of
+//! its own leaves of a step. It then adds up the sums of all ranks for its part of the parameters, updates this part, and sends the
+//! changed parameters to the other ranks. With any other encoder, every rank receives all partial gradients.
 
 use crate::CpuBackend;
 use crate::backend::partials;
@@ -30,13 +30,13 @@ pub struct DataParallel {
 }
 
 impl DataParallel {
-    /// An exchange over `ranks` for steps with these settings.
+    /// Creates an exchange over `ranks` for steps with the settings `train`.
     ///
     /// # Errors
     /// When there are more ranks than leaves.
     pub fn new(ranks: Arc<dyn Ranks>, train: &TrainConfig) -> Result<Self> {
         let this_rank = ranks.rank();
-        // Small steps have fewer sets of partial gradients than `train.leaves`.
+        // A small step may have fewer sets of partial gradients than `train.leaves`, and so fewer leaves.
         let leaves = ReductionTree::new(train.leaves, partials(train.samples_per_step)).count();
         if this_rank.size > leaves {
             let advice = match this_rank.size.next_power_of_two() {
@@ -61,19 +61,19 @@ impl DataParallel {
         (0..of).filter(move |other| *other != rank)
     }
 
-    /// Sends the messages in `out`.
+    /// Sends each rank its message in `out`, and receives one message per rank in `into`.
     fn all_to_all(&mut self) -> Result<()> {
         let out: Vec<&[u8]> = self.out.iter().map(Vec::as_slice).collect();
         self.ranks.all_to_all(&out, &mut self.into)
     }
 
-    /// Sends `message` to every rank.
+    /// Sends `message` to every rank, and receives one message per rank in `into`.
     fn tell(&mut self, message: &[u8]) -> Result<()> {
         self.ranks.all_to_all(&vec![message; self.this_rank.size], &mut self.into)
     }
 
-    /// Returns the encoder if its parameters are divided among ranks. The optimiser must then skip untouched
-    /// parameters, because no rank sends them.
+    /// Returns the encoder if its parameters are divided among ranks. This requires an optimiser that skips untouched
+    /// parameters, because ranks send only the touched ones.
     fn divided<'a>(
         &self,
         encoder: &'a mut CpuEncoder,
@@ -134,7 +134,7 @@ impl Exchange<CpuBackend> for DataParallel {
     }
 
     fn errors(&mut self, errors: Vec<CellErrors>) -> Result<Vec<CellErrors>> {
-        // Integer sums do not depend on the number of ranks.
+        // The errors are integers, so their sums are the same for any number of ranks.
         Exchange::<CpuBackend>::errors(&mut Summed::new(Arc::clone(&self.ranks)), errors)
     }
 
@@ -159,7 +159,7 @@ impl Exchange<CpuBackend> for DataParallel {
         self.all_to_all()?;
         divided.take_sums(&self.into, update.gradient)?;
         divided.complete(update.gradient);
-        // If the step has no weight, no rank updates its parameters.
+        // If the loss weights of the step sum to 0, no rank updates its parameters.
         if backend.weight(update.partials) > 0.0 {
             let left_out = optimizer.step_within(update, divided.pieces());
             let mut message = std::mem::take(&mut self.out[self.this_rank.id]);

@@ -43,7 +43,7 @@ impl CpuBackend {
         self
     }
 
-    /// Number of worker threads.
+    /// Returns the number of worker threads.
     pub fn threads(&self) -> usize {
         self.pool.current_num_threads()
     }

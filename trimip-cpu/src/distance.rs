@@ -1,13 +1,14 @@
-//! The distance field of a grid of bits: how far marching may skip.
+//! The distance field of an occupancy grid: it bounds how far ray marching may skip.
 
 /// Replaces each value of a grid of `side`³ cells, x fastest, by its Chebyshev distance to the nearest cell of value 0, in
-/// cells, at most 255. Other cells must hold 255 on entry. Exact: two passes over the 26 neighbours (Borgefors 1986).
+/// cells, at most 255. All other cells must hold 255 on entry. The result is exact: two passes over the 26 neighbours
+/// (Borgefors 1986).
 pub(crate) fn distances(cells: &mut [u8], side: usize) {
     let mut least = vec![0; side];
     for z in 0..side {
         for y in 0..side {
             least.fill(255);
-            // The rows already visited next to this one: one in the same layer, three in the previous layer.
+            // Adjacent rows that this pass has already visited: one in the same layer, three in the previous layer.
             let before = (y > 0).then(|| (z, y - 1)).into_iter();
             let layer = (z > 0).then(|| (y.saturating_sub(1)..(y + 2).min(side)).map(move |y| (z - 1, y)));
             for (z, y) in before.chain(layer.into_iter().flatten()) {
@@ -34,7 +35,7 @@ pub(crate) fn distances(cells: &mut [u8], side: usize) {
     }
 }
 
-/// `least[x]` = minimum of itself and the three values of `row` around x.
+/// Lowers each `least[x]` to the minimum of the three values of `row` around x.
 fn minimum(least: &mut [u8], row: &[u8]) {
     let side = row.len();
     least.iter_mut().zip(row).for_each(|(least, &value)| *least = (*least).min(value));
@@ -42,7 +43,7 @@ fn minimum(least: &mut [u8], row: &[u8]) {
     least[..side - 1].iter_mut().zip(&row[1..]).for_each(|(least, &value)| *least = (*least).min(value));
 }
 
-/// Each value becomes at most one more than the least of its neighbours.
+/// Limits each value to `least` + 1, where `least` holds the minima over neighbouring rows.
 fn relax(row: &mut [u8], least: &[u8]) {
     row.iter_mut().zip(least).for_each(|(value, &least)| *value = (*value).min(least.saturating_add(1)));
 }

@@ -13,7 +13,7 @@ use trimip_core::config::EncoderKind;
 use trimip_core::engine::batch::{PartialGradients, Samples, Tile};
 use trimip_core::{Config, Encoder, Result, field::encoders};
 
-/// The parameters, and the geometry of a tile's samples.
+/// Returns the parameters and the geometry of a tile's samples.
 fn places<'a>(tile: &Tile<'a, CpuBackend>) -> Places<'a> {
     let Samples { rays: owners, intervals, spheres, .. } = tile.samples;
     Places { parameters: tile.parameters, rays: &tile.rays.rays, owners, intervals, spheres }
@@ -25,7 +25,7 @@ macro_rules! encoders {
         /// The configured encoder.
         pub struct CpuEncoder {
             any: Any,
-            /// Floats in a row of features: the encoder's width, padded.
+            /// Number of floats in a row of features: the encoder's width, padded.
             stride: usize,
             /// Floats in a row of the context.
             context: usize,
@@ -33,14 +33,14 @@ macro_rules! encoders {
 
         enum Any { $($name($encoding)),* }
 
-        /// Memory of the accumulated gradients.
+        /// Returns the memory that accumulated gradients need.
         pub(crate) fn gradient_memory(config: &Config) -> GradientMemory {
             match config.encoder.kind {
                 $(EncoderKind::$name => <$encoding as Encoding>::gradient_memory(config)),*
             }
         }
 
-        /// Feature gradients of some tiles.
+        /// Feature gradients collected from several tiles.
         pub struct EncoderGradient(AnyGradient);
 
         enum AnyGradient { $($name(<$encoding as Encoding>::Gradient)),* }
@@ -54,12 +54,12 @@ macro_rules! encoders {
                 Self { any, stride: encoders::stride(config), context: encoders::of(config).context(config) }
             }
 
-            /// Floats in a row of features.
+            /// Returns the number of floats in a row of features.
             pub(crate) fn stride(&self) -> usize {
                 self.stride
             }
 
-            /// Floats in a row of the context.
+            /// Returns the number of floats in a row of the context.
             pub(crate) fn context(&self) -> usize {
                 self.context
             }

@@ -1,7 +1,8 @@
 //! Density and colour networks on the CPU. The density network outputs a logit and the geometry features. The colour
-//! network reads this output with a zero weight on the logit, and the view, whose part of the first layer is computed
-//! once per ray. If sines and cosines of the geometry features are configured, the colour network reads separate rows
-//! that hold them. Without networks the outputs are the features: the logits of density and colour.
+//! network reads this output, with zero weights for the logit, and the encoded view direction. The direction's
+//! contribution to the first layer is computed once per ray. If sines and cosines of the geometry features are
+//! configured, the colour network reads separate rows that hold them. If the field has no networks, the encoder's
+//! features are the logits of density and colour.
 
 mod context;
 
@@ -34,14 +35,14 @@ pub struct CpuField {
     slots: Vec<Slot>,
     /// Index of red in a row of colour logits.
     red: usize,
-    /// Padded width of the view; 0 if the colour network does not see directions.
+    /// Padded width of the encoded view direction; 0 if the colour network does not read directions.
     view: usize,
     /// Padded width of the geometry features with their sines and cosines; 0 without sines and cosines.
     shape: usize,
     /// `train.leaves`.
     wanted_leaves: u32,
-    /// Number of ranks whose sums of weight gradients are in the partial gradients; 0 before [`CpuField::fold`] in a
-    /// step.
+    /// Number of ranks whose sums of weight gradients the partial gradients hold; 0 until a step calls
+    /// [`CpuField::fold`].
     shared_by: usize,
 }
 
@@ -57,24 +58,24 @@ impl FieldGradient {
         self.color.fold(&mut other.color);
     }
 
-    /// Writes all numbers.
+    /// Appends all weight gradients to a message.
     pub(crate) fn put(&self, out: &mut Vec<u8>) {
         self.density.put(out);
         self.color.put(out);
     }
 
-    /// Replaces all numbers by those that were put.
+    /// Replaces all weight gradients with those that [`put`](Self::put) wrote.
     ///
     /// # Errors
-    /// When the message has fewer.
+    /// When the message is too short.
     pub(crate) fn take(&mut self, from: &mut Reader<'_>) -> Result<()> {
         self.density.take(from)?;
         self.color.take(from)
     }
 }
 
-/// Adds up gradients in a balanced tree over `range`; `at` maps an index of the range to its set of partial gradients. The
-/// first set receives the sum, and the others become zero.
+/// Adds up weight gradients in a balanced tree over `range`; `at` maps an index in the range to a set of partial
+/// gradients. The first set receives the sum, and the other sets become zero.
 fn join(partials: &mut [PartialGradients<CpuBackend>], range: Range<usize>, at: &impl Fn(usize) -> usize) {
     if range.len() < 2 {
         return;
@@ -88,13 +89,13 @@ fn join(partials: &mut [PartialGradients<CpuBackend>], range: Range<usize>, at: 
 }
 
 impl CpuField {
-    /// The reduction tree of a step with `partials` sets of partial gradients.
+    /// Returns the reduction tree of a step with `partials` sets of partial gradients.
     pub(crate) fn reduction_tree(&self, partials: usize) -> ReductionTree {
         ReductionTree::new(self.wanted_leaves, partials)
     }
 
-    /// Sums the weight gradients of the leaves of `this_rank` into the first of their sets. The others of these sets
-    /// become zero.
+    /// Sums the weight gradients of the leaves of `this_rank` into the first set of partial gradients of these leaves.
+    /// Their other sets become zero.
     pub(crate) fn fold(&mut self, partials: &mut [PartialGradients<CpuBackend>], this_rank: Rank) {
         let parts = self.reduction_tree(partials.len());
         let own = parts.of(this_rank);
@@ -158,12 +159,12 @@ impl CpuField {
         }
     }
 
-    /// The input of the colour network in addition to the view.
+    /// Returns the input of the colour network in addition to the encoded view direction.
     fn color_input<'a>(&self, outputs: &'a Buffer<f32>, shape: &'a Buffer<f32>) -> &'a Buffer<f32> {
         if self.shape == 0 { outputs } else { shape }
     }
 
-    /// Writes the geometry features with their sines and cosines.
+    /// Writes the geometry features with their sines and cosines to `shape`.
     fn append_shapes(&self, rows: usize, outputs: &Buffer<f32>, shape: &mut Buffer<f32>) {
         if self.shape == 0 {
             return;
@@ -185,25 +186,25 @@ impl CpuField {
         context.density.clear();
     }
 
-    /// Appends the rows `rows` of the density network from another context.
+    /// Appends the density network's rows with the indices `rows` in another context.
     pub(crate) fn append(&self, context: &mut Context, from: &Context, rows: &[u32]) {
         context.density.append(&self.density, &from.density, rows);
     }
 
-    /// Replaces the geometry features of each group of samples by their weighted mean, in the group's first row. `kept`
-    /// lists these rows. `fractions` has one value per sample: its weight in its group, negative for all samples of a group
-    /// but the first.
+    /// Replaces the geometry features of each group of samples with their weighted mean, in the group's first row. `kept`
+    /// lists these rows. `fractions` has one value per sample: the sample's weight in its group, negated for all samples of
+    /// a group except the first.
     pub(crate) fn blend(&self, context: &mut Context, kept: &[u32], fractions: &[f32]) {
         context.density.blend(&self.density, kept, fractions);
     }
 
-    /// Replaces the density network's rows by the rows `rows` of another context.
+    /// Replaces the density network's rows with the rows that have the indices `rows` in another context.
     pub(crate) fn gather(&self, context: &mut Context, from: &Context, rows: &[u32]) {
         context.density.gather(&self.density, &from.density, rows);
     }
 }
 
-/// The norm of the gradient of a sample's logits.
+/// Returns the norm of the gradient with respect to a sample's logits.
 fn norm(density: f32, [r, g, b]: [f32; 3]) -> f32 {
     (density * density + r * r + g * g + b * b).sqrt()
 }

@@ -1,4 +1,4 @@
-//! Hybrid rendering on the CPU: the samples of a ray are chosen by the densities of the proxy.
+//! Hybrid rendering on the CPU: the densities of the proxy determine where a ray has samples.
 
 use crate::buffer::Buffer;
 use crate::cursor::Cursor;
@@ -17,8 +17,8 @@ use trimip_core::geometry::space::Path;
 pub(crate) struct Hybrid(pub Guide);
 
 impl Hybrid {
-    /// Calls `place` for every sample of a ray, front to back. Returns false if the proxy is unsure of the ray; the
-    /// caller then discards the placed samples.
+    /// Calls `place` for every sample of a ray, front to back. Returns false if the ray's cone is too wide for the
+    /// proxy; the caller then discards the placed samples.
     #[inline(always)]
     pub fn choose(
         &self,
@@ -73,8 +73,8 @@ impl Hybrid {
     }
 
     /// Groups the samples that share a colour, in all rays for which `sure` is true. The first sample of a group gets the optical
-    /// depth, length and mean distance of the group, and its row in the field context gets the mean of the geometry features.
-    /// `kept` lists the first samples.
+    /// depth, length and weighted mean distance of the group, and its row in the field context gets the weighted mean of the
+    /// geometry features. `kept` lists the first sample of each group.
     pub fn blend(
         &self,
         field: &CpuField,

@@ -77,7 +77,8 @@ pub fn open(config: &Config, views: ViewSet) -> Result<Box<dyn Session>> {
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
-/// As [`open`], trained together with other ranks, bit-identical to training on one.
+/// Creates an untrained model as [`open`] does, to be trained together with other ranks. The result is bit-identical to
+/// training on one rank.
 ///
 /// # Errors
 /// As [`open`], and when there are more ranks than a step has leaves.
@@ -89,7 +90,7 @@ pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Resu
     Ok(Box::new(trainer))
 }
 
-/// Predicts the memory of a training with these settings and views: name and bytes of each part.
+/// Predicts the memory of a training run with these settings and views. Returns the name and bytes of each part.
 pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     let threads = match config.threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
@@ -98,10 +99,10 @@ pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     memory::predict(config, views, threads, backend::partials(config.train.samples_per_step))
 }
 
-/// Kept samples per second of one thread that trains networks of 64 units on *lego*, by instruction set. Measured with
-/// AVX-512 BF16 (327 M in 300 s on two threads of a Zen 4), with AMX (24 M in 20 s on two threads of an Emerald Rapids, in
-/// f32) and with AVX2 (two threads of a Zen). The other values are scaled by the rates of the networks' products; NEON by
-/// the multiply-adds of a cycle, without a measurement.
+/// Returns the number of kept samples per second of one thread that trains networks of 64 units on *lego*. Three values
+/// were measured: AVX-512 BF16 (327 M samples in 300 s on two threads of a Zen 4), AMX (24 M samples in 20 s on two
+/// threads of an Emerald Rapids, in f32) and AVX2 (two threads of a Zen). The other values are scaled by the speed of the
+/// networks' products; the value of NEON is scaled by its multiply-adds per cycle, without a measurement.
 fn samples_per_second(simd: Simd) -> f64 {
     match simd {
         Simd::Amx => 6.0e5,
@@ -113,7 +114,7 @@ fn samples_per_second(simd: Simd) -> f64 {
     }
 }
 
-/// The training speed of `threads` threads (0: all cores) of this processor.
+/// Returns the training speed of `threads` threads (0: all cores) of this processor.
 pub fn compute(threads: u32) -> Compute {
     let threads = match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
@@ -128,7 +129,7 @@ pub fn compute(threads: u32) -> Compute {
     }
 }
 
-/// The instruction sets of this processor, widest first; the first is used.
+/// Returns the names of this processor's instruction sets, widest first. The backend uses the first.
 pub fn features() -> String {
     Simd::available().iter().map(|simd| simd.to_string()).collect::<Vec<_>>().join(", ")
 }

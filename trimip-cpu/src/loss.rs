@@ -1,4 +1,4 @@
-//! The loss on the CPU: the registered terms of core in f32, over the pixels and the rays of a tile.
+//! The loss on the CPU: evaluates core's registered terms in f32, over the pixels and the rays of a tile.
 
 use crate::buffer::Buffer;
 use crate::{CpuBackend, WorkerScratch};
@@ -15,9 +15,9 @@ use trimip_core::{Config, Pixel, Space};
 /// The loss terms that a configuration uses.
 pub struct CpuLoss {
     config: LossConfig,
-    /// Terms of pixels in addition to the photometric one, with their weights.
+    /// Pixel terms in addition to the photometric term, with their weights.
     pixel_terms: Vec<(&'static dyn PixelTerm, f32)>,
-    /// Terms of rays, with their weights.
+    /// Ray terms, with their weights.
     ray_terms: Vec<(&'static dyn RayTerm, f32)>,
     space: Space<f32>,
     /// Exposure gains of the photographs; empty if the loss applies none.
@@ -36,7 +36,7 @@ impl CpuLoss {
         }
     }
 
-    /// Replaces `out` by the samples of ray `index`, as the terms of rays read them.
+    /// Replaces `out` with the samples of ray `index`, in the form that ray terms read.
     fn collect(&self, tile: &RenderedTile<'_, CpuBackend>, index: usize, out: &mut Vec<RaySample<f32>>) {
         let (ray, own) = (&tile.rays.rays[index], tile.samples.segments[index].range());
         let parameterisation = self.space.parameterisation(ray.origin, ray.direction);
@@ -93,7 +93,7 @@ impl Loss<CpuBackend> for CpuLoss {
         for (group, target) in tile.rays.groups.iter().zip(tile.rays.targets.iter()) {
             for index in group.range() {
                 self.collect(tile, index, &mut samples);
-                // A cone without samples has no terms, as it has no gradient.
+                // A cone without samples has no gradient, so its terms are skipped.
                 if samples.is_empty() {
                     continue;
                 }
@@ -117,7 +117,7 @@ impl Loss<CpuBackend> for CpuLoss {
     }
 }
 
-/// The pixels of a tile, to be compared by a photometric term.
+/// The pixels of a tile, which a photometric term compares with their targets.
 struct Pixels<'a> {
     loss: &'a CpuLoss,
     tile: &'a RenderedTile<'a, CpuBackend>,
@@ -137,7 +137,7 @@ impl PhotometricVisitor for Pixels<'_> {
         let pixels = tile.pixels.iter().zip(tile.rays.targets.iter());
         let rows = gradients.iter_mut().zip(pixels);
         if segments.len() == groups.len() {
-            // Pixels of one cone each, which is the usual case.
+            // Each pixel has one cone, which is the usual case.
             let rows = rows.zip(segments).map(|(row, segment)| (row, segment.count > 0));
             loss.add(term, rows, &tile.rays.photographs, result);
         } else {
@@ -149,8 +149,8 @@ impl PhotometricVisitor for Pixels<'_> {
 }
 
 impl CpuLoss {
-    /// Adds the losses of pixels to the sums, and writes their gradients. `photographs` selects the exposure gain of
-    /// each pixel, if there are any.
+    /// Adds the losses of pixels to the sums, and writes their gradients. `photographs` holds the index of each pixel's
+    /// photograph, which selects the exposure gain, if there are gains.
     #[inline]
     fn add<'a, T: PhotometricTerm>(
         &self,
@@ -171,7 +171,8 @@ impl CpuLoss {
                 seen = exposed(seen, behind, **gain);
             }
             let difference: [f32; 3] = std::array::from_fn(|c| seen[c] - target.rgb[c]);
-            // Pixels of weight 0 are excluded from the error as from the loss, whatever colour they store.
+            // Pixels of weight 0 are excluded from the squared error, as they are from the loss, whatever colour they
+            // store.
             if target.weight > 0.0 {
                 let squared = difference.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
                 sums.squared_error += f64::from(target.importance) * squared;

@@ -1,4 +1,4 @@
-//! Marching along rays: samples at the midpoints of steps that lie in occupied cells.
+//! Ray marching: places samples at the midpoints of steps that lie in occupied cells.
 
 use crate::CpuBackend;
 use crate::cursor::Cursor;
@@ -8,10 +8,10 @@ use trimip_core::engine::batch::{Interval, Ray, Rays, Samples, Segment, Sphere};
 use trimip_core::engine::policy::RendererPolicy;
 use trimip_core::geometry::space::Path;
 
-/// Calls `place` for the midpoint of every step from the cursor on that lies in an occupied cell, with that cell, until
-/// `place` returns false. Returns true if the ray has left the box.
+/// Marches a ray from the cursor on. Calls `place` for the midpoint of every step that lies in an occupied cell, and
+/// passes that cell, until `place` returns false. Returns true if the ray has left the box.
 ///
-/// Skips empty cubes by the distance field; the samples are exactly those of testing every step.
+/// The distance field serves to skip empty cubes; the samples are exactly those that a test of every step would find.
 #[inline(always)]
 pub fn advance(
     policy: &RendererPolicy,
@@ -32,9 +32,9 @@ pub fn advance(
 /// Number of steps that are tested at once: one vector register holds a value of each.
 const BLOCK: usize = 16;
 
-/// The next steps from a cursor on.
+/// The next steps of a cursor.
 struct Steps {
-    /// Parameter, distance, place and cell of each midpoint.
+    /// Ray parameter, distance, position and cell of each step's midpoint.
     s: [f32; BLOCK],
     t: [f32; BLOCK],
     positions: [[f32; 3]; BLOCK],
@@ -44,7 +44,8 @@ struct Steps {
 }
 
 impl Steps {
-    /// Finds the cells of the steps from number `index` on. Steps beyond the end of the ray have arbitrary values.
+    /// Computes the steps that begin with number `index`, and their cells. Steps beyond the end of the ray have
+    /// arbitrary values.
     #[inline(always)]
     fn of(path: &impl Path, occupancy: &CpuOccupancy, first: f32, step: f32, index: f32) -> Self {
         let mut steps = Self {
@@ -54,7 +55,7 @@ impl Steps {
             cells: [[0; 3]; BLOCK],
             empty: [0; BLOCK],
         };
-        // One loop for each value: the compiler turns each into vector instructions.
+        // One loop per quantity, because the compiler vectorises such loops.
         for i in 0..BLOCK {
             steps.s[i] = first + (index + i as f32 + 0.5) * step;
         }
@@ -73,7 +74,7 @@ impl Steps {
         steps
     }
 
-    /// The parameter up to which the ray stays within the empty cells around the last step.
+    /// Returns the ray parameter up to which the ray stays within the empty cells around the last step.
     #[inline(always)]
     fn clear(&self, path: &impl Path) -> f32 {
         let last = BLOCK - 1;
@@ -81,7 +82,7 @@ impl Steps {
     }
 }
 
-/// [`advance`] along a path.
+/// Implements [`advance`] along a path.
 #[inline(always)]
 fn follow(
     path: &impl Path,
@@ -111,11 +112,11 @@ fn follow(
         }
         index += BLOCK as f32;
         if steps.empty[BLOCK - 1] > 0 {
-            // The first step whose midpoint is not before the end of the empty cells. Rounding may move it by a few 1e-7 of
-            // the distance; a step that close to the end is tested rather than skipped.
+            // Continues with the first step whose midpoint does not lie before the end of the empty cells. Rounding may
+            // move this end by a few 1e-7 of the distance, so a step that close to it is tested rather than skipped.
             let next = (steps.clear(path) - first) * inverse_step - 0.5;
             let next = (next * (1.0 - 1e-6) - 0.01).ceil();
-            // NaN and infinity are ignored.
+            // If `next` is NaN or infinite, no further step is skipped.
             if next.is_finite() {
                 index = index.max(next);
             }
@@ -142,7 +143,7 @@ impl Kernel for March<'_> {
         let mut count = 0;
         for (i, ray) in rays.rays.iter().enumerate() {
             let start = count;
-            // Room for a ray that is occupied along its whole length, so that placing a sample is a plain store.
+            // Makes room for a ray whose cells are all occupied, so that placing a sample is a plain store.
             let most = start + most_samples;
             samples.rays.resize(most);
             samples.intervals.resize(most);

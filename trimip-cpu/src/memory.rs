@@ -10,11 +10,11 @@ use trimip_core::field::networks::geometry_width;
 use trimip_core::field::params::{color_layers, density_layers};
 use trimip_core::{Config, Layout, Pixel, ViewSet, field::encoders};
 
-/// The program with its libraries and its threads' allocators, on Linux.
+/// Bytes of the program, its libraries and its threads' allocators, on Linux.
 const PROGRAM: u64 = 20_000_000;
 
-/// Samples that a worker renders at once, relative to their target number. The length of rays is estimated from
-/// earlier rays.
+/// Number of samples that a worker renders at once, relative to the target number. It varies because the number of
+/// samples per ray is estimated from earlier rays.
 const AT_ONCE: f64 = 1.3;
 
 /// Capacity of partial gradients relative to the target number of samples: their fill level varies, and they grow by doubling.
@@ -26,24 +26,25 @@ const WORD: usize = 4;
 /// Worst-case capacity of an array that grows by doubling, relative to its length.
 const DOUBLED: usize = 2;
 
-/// Fraction of the cells that an update samples, relative to `occupancy.fraction`: uniformly drawn cells plus
-/// occupied ones.
+/// Fraction of the cells that an update samples, relative to `occupancy.fraction`: it samples uniformly drawn cells,
+/// and occupied cells in addition.
 const DRAWN_TWICE: f32 = 2.0;
 
-/// Copies of a block's gradients in a backward pass: above and below a layer, in f32 and as pairs of bf16.
+/// Number of copies of a block's gradients in a backward pass: of a layer's outputs and of its inputs, each in f32 and
+/// as pairs of bf16.
 const BLOCK_COPIES: usize = 4;
 
-/// Copies of a view's pixels during its evaluation: the device's and the frame's.
+/// Number of copies of a view's pixels during its evaluation: the device's and the frame's.
 const RENDERED_COPIES: usize = 2;
 
-/// f32 RGB images during the evaluation of a view: rendering and photograph on two backgrounds each, the copy for the
-/// file, and the difference.
+/// Number of f32 RGB images during the evaluation of a view: rendering and photograph on two backgrounds each, the copy
+/// for the file, and the difference.
 const PICTURES: usize = 6;
 
-/// 8-bit RGB images on a sheet: rendering, photograph, difference.
+/// Number of 8-bit RGB images on a sheet: rendering, photograph, difference.
 const SHEET_PICTURES: usize = 3;
 
-/// Name and bytes of each part, for `threads` workers.
+/// Returns the name and bytes of each part, for `threads` workers.
 pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let floats = |count: usize| (WORD * count) as u64;
@@ -81,20 +82,20 @@ pub fn predict(config: &Config, views: &ViewSet, threads: usize, partials: usize
     ]
 }
 
-/// Bytes of two temporary allocations that never overlap: the larger one, and half of the smaller one, which an
-/// allocator keeps.
+/// Returns the bytes of two temporary allocations that are never alive together: the larger one, and half of the
+/// smaller one, which the allocator does not return.
 fn moments(mut two: [u64; 2]) -> u64 {
     two.sort_unstable();
     two[1] + two[0] / 2
 }
 
-/// Bytes that a worker holds while it renders rays through fog, which is more than during training.
+/// Returns the bytes that a worker holds while it renders rays through fog, which are more than during training.
 fn worker(config: &Config) -> u64 {
     let outputs = |layers: &[[usize; 2]]| layers.iter().map(|[_, n]| n.next_multiple_of(4)).sum::<usize>();
     let sample = size_of::<Sphere>() + size_of::<Interval>() + size_of::<Radiance>() + size_of::<u32>();
     let encoding = encoders::stride(config) + encoders::of(config).context(config);
     let seen = sample + WORD * (encoding + outputs(&density_layers(config)));
-    // Samples on displaced rays, and a slope of each.
+    // The samples again on displaced rays, and one slope per sample.
     let displaced = match config.train.cameras {
         CameraPoses::Fixed => 0,
         CameraPoses::Refine => size_of::<Sphere>() + WORD * (encoding + 1),
@@ -102,16 +103,16 @@ fn worker(config: &Config) -> u64 {
     // Visible samples are stored twice: front to back over all rays, and ray by ray with the colour network's
     // outputs.
     let row = displaced + 2 * seen + WORD * (outputs(&color_layers(config)) + geometry_width(config));
-    // A block's gradients above and below a layer, in f32 and as pairs of bf16.
+    // A block's gradients of a layer's outputs and inputs, in f32 and as pairs of bf16.
     let passing = BLOCK_COPIES * WORD * BLOCK * config.field.hidden.max(config.field.color_hidden) as usize;
     // A ray is never split, however many samples it has.
     let samples = SAMPLES_AT_ONCE.max(most_kept(config));
     (AT_ONCE * (samples * row + passing) as f64) as u64
 }
 
-/// Bytes for the evaluation of a view: the device's pixels and the frame's; six f32 RGB images (rendering and
-/// photograph on two backgrounds each, the store's copy, the difference); the photograph at all scales; and the sheet
-/// of three images.
+/// Returns the bytes for the evaluation of a view: the device's pixels and the frame's; six f32 RGB images (rendering
+/// and photograph on two backgrounds each, the store's copy, the difference); the photograph at all scales; and the
+/// sheet of three images.
 fn measured(views: &ViewSet) -> u64 {
     let sizes = views
         .views

@@ -1,5 +1,5 @@
-//! The occupancy grid on the CPU: one bit per cell, in words of 4×4×4 cells, and the distance field with which marching
-//! skips empty space.
+//! The occupancy grid on the CPU: one bit per cell, in words of 4×4×4 cells, and the distance field that lets ray
+//! marching skip empty space.
 
 use crate::buffer::Buffer;
 use crate::distance::distances as fill_distances;
@@ -13,14 +13,15 @@ use trimip_core::engine::policy::OccupancyPolicy;
 use trimip_core::geometry::occupancy::{coordinates, decayed, mean, threshold};
 use trimip_core::math::bits;
 
-/// Cells along a side of a block.
+/// Number of cells along a side of a block.
 const BLOCK: u32 = 4;
 
-/// Grid, bits and running densities.
+/// The occupancy grid: the running densities of its cells, their bits, and the distance field.
 pub struct CpuOccupancy {
     policy: OccupancyPolicy,
     densities: Vec<f32>,
-    /// Blocks in the order x + B·(y + B·z); within a block, bit x + 4·(y + 4·z).
+    /// Block (x, y, z) has index x + B·(y + B·z) for B blocks along a side. Within a block, cell (x, y, z) has bit x +
+    /// 4·(y + 4·z).
     blocks: Vec<u64>,
     /// Chebyshev distance of each cell to the nearest occupied cell, in cells, at most 255.
     distances: Vec<u8>,
@@ -29,7 +30,7 @@ pub struct CpuOccupancy {
 }
 
 impl CpuOccupancy {
-    /// A grid in which every cell is occupied.
+    /// Creates a grid in which every cell is occupied.
     pub fn new(config: &Config) -> Self {
         let policy = OccupancyPolicy::new(config);
         let cells = policy.cells() as usize;
@@ -45,28 +46,28 @@ impl CpuOccupancy {
         grid
     }
 
-    /// Cells along a side.
+    /// Returns the number of cells along a side.
     #[inline]
     pub fn resolution(&self) -> u32 {
         self.policy.resolution()
     }
 
-    /// Chebyshev distance to the nearest occupied cell: marching may skip all cells that are closer than this. 0 if
-    /// the cell itself is occupied.
+    /// Returns the Chebyshev distance of a cell to the nearest occupied cell, 0 if the cell itself is occupied.
+    /// Marching may skip all cells that are closer than this distance.
     #[inline(always)]
     pub fn empty_around(&self, [x, y, z]: [u32; 3]) -> u32 {
         let side = self.policy.resolution();
         self.distances[(x + side * (y + side * z)) as usize].into()
     }
 
-    /// Running maximum of the density of a cell, see [`decayed`]; 0 in a model that is only rendered.
+    /// Returns the running maximum of the density of a cell, see [`decayed`]; 0 in a model that is only rendered.
     #[inline(always)]
     pub fn density(&self, [x, y, z]: [u32; 3]) -> f32 {
         let side = self.policy.resolution();
         self.densities[(x + side * (y + side * z)) as usize] / self.policy.step_length
     }
 
-    /// Block index and bit index of a cell.
+    /// Returns the block index and the bit index of a cell.
     fn place(&self, cell: u32) -> (usize, u32) {
         let blocks = self.policy.resolution() / BLOCK;
         let [x, y, z] = coordinates(cell, self.policy.resolution());
@@ -109,7 +110,7 @@ impl CpuOccupancy {
     }
 }
 
-/// Bit index of a cell within its block.
+/// Returns the bit index of a cell within its block.
 #[inline(always)]
 fn bit_of([x, y, z]: [u32; 3]) -> u32 {
     x % BLOCK + BLOCK * (y % BLOCK + BLOCK * (z % BLOCK))
@@ -156,7 +157,7 @@ impl Occupancy<CpuBackend> for CpuOccupancy {
         let limit = threshold(mean(&self.densities), &self.policy.settings);
         let densities = std::mem::take(&mut self.densities);
         self.set_bits(|cell| densities[cell as usize] > limit);
-        // If all cells equal their mean, none is above it. Without this rule, such a grid would stay empty.
+        // If all densities are equal, none is above their mean. Without this rule, such a grid would stay empty.
         if self.occupied == 0 {
             self.set_bits(|cell| densities[cell as usize] >= 0.0);
         }

@@ -12,10 +12,10 @@ use trimip_core::field::adamw::Rule;
 use trimip_core::field::params::ALIGNMENT;
 use trimip_core::{Config, Layout, Optimizer};
 
-/// Parameters per task.
+/// Number of parameters per task.
 const CHUNK: usize = 1 << 15;
 
-/// Moments of all parameters.
+/// AdamW moments of all parameters.
 pub struct CpuOptimizer {
     simd: Simd,
     policy: OptimizerPolicy,
@@ -25,7 +25,7 @@ pub struct CpuOptimizer {
 }
 
 impl CpuOptimizer {
-    /// Zero moments; empty buffers unless `training`.
+    /// Creates an optimiser with zero moments; the buffers are empty unless `training`.
     pub fn new(simd: Simd, config: &Config, layout: &Layout, training: bool) -> Self {
         let length = if training { layout.len() } else { 0 };
         Self {
@@ -44,8 +44,8 @@ impl CpuOptimizer {
         *self.non_finite.get_mut() += count;
     }
 
-    /// As [`Optimizer::step`], for an encoder whose first slot has a gradient of zero outside of `touched`. Returns the
-    /// number of non-finite gradients that were skipped in that slot.
+    /// Performs [`Optimizer::step`] for an encoder whose first slot has a gradient of zero outside of `touched`.
+    /// Returns the number of non-finite gradients that were skipped in the first slot.
     pub(crate) fn step_within(
         &mut self,
         update: &mut Update<'_, CpuBackend>,
@@ -60,7 +60,7 @@ impl CpuOptimizer {
         for (index, SlotUpdate { range: whole, rule, group }) in
             policy.updates(*learning_rate, *step).enumerate()
         {
-            // Row by row if the encoder reports the touched part of each row.
+            // Updates the first slot row by row if the encoder reports the touched part of each row.
             let mut pieces = Vec::new();
             match touched.as_deref() {
                 Some(rows) if index == 0 => {
@@ -131,7 +131,7 @@ impl Optimizer<CpuBackend> for CpuOptimizer {
 struct Lines<'a> {
     rule: Rule<f32>,
     scale: f32,
-    /// Groups of this many values are skipped if they have no gradient.
+    /// Number of values in a group. Groups without a gradient are skipped; `None` skips nothing.
     group: Option<usize>,
     parameters: &'a mut [f32],
     m: &'a mut [f32],
@@ -145,8 +145,8 @@ impl Kernel for Lines<'_> {
     #[inline(always)]
     fn run<L: Lanes>(self) -> u64 {
         let Self { rule, scale, group, parameters, m, v, gradient } = self;
-        // Slots are padded to whole lines; arrays of fixed length are vectorised.
-        // A first pass only checks, so that the pass that writes has no branch.
+        // Slots are padded to whole lines, because the compiler vectorises loops over arrays of fixed length. A first
+        // pass only checks for non-finite gradients, so that the pass that writes has no branch.
         let square = |g: f32| (g * scale) * (g * scale);
         let mut check = [0.0; ALIGNMENT];
         for gradient in gradient.as_chunks::<ALIGNMENT>().0 {
@@ -162,7 +162,7 @@ impl Kernel for Lines<'_> {
             }
             let moved = moved(gradient, group);
             if finite {
-                // Every lane is computed, and a group without a gradient keeps its values. That needs no branch.
+                // To avoid a branch, every lane is computed, and groups without a gradient then keep their old values.
                 let (mut new, mut new_m, mut new_v) = (*parameters, *m, *v);
                 for i in 0..ALIGNMENT {
                     rule.apply(&mut new[i], &mut new_m[i], &mut new_v[i], gradient[i] * scale);
@@ -186,7 +186,8 @@ impl Kernel for Lines<'_> {
     }
 }
 
-/// The lanes of a line whose group has a gradient; a line has whole groups, or is within one.
+/// Returns for each lane of a line whether its group has a gradient. A line consists of whole groups, or lies within
+/// one group.
 #[inline(always)]
 fn moved(gradient: &[f32; ALIGNMENT], group: Option<usize>) -> [bool; ALIGNMENT] {
     let Some(group) = group.filter(|group| *group < ALIGNMENT) else { return [true; ALIGNMENT] };
@@ -210,7 +211,8 @@ mod tests {
     use trimip_core::engine::batch::{PartialGradients, StepResult, StepSums};
     use trimip_core::field::params::Slot;
 
-    /// Dense and sparse slots whose lengths are no multiple of a register, each with its own rate and decay.
+    /// Returns dense and sparse slots whose lengths are not multiples of a register's length, each with its own rate
+    /// and decay.
     fn odd() -> Layout {
         let slot = |name: &str, shape: &[usize], rate, decay, group| Slot {
             rate,
@@ -229,8 +231,8 @@ mod tests {
         ])
     }
 
-    /// Algorithm 2 of Loshchilov and Hutter as printed: value and moments after step `step` at a learning rate of
-    /// 1e-2.
+    /// Returns the value and moments after step `step` at a learning rate of 1e-2, from Algorithm 2 of Loshchilov and
+    /// Hutter as printed.
     fn printed(config: &Config, slot: &Slot, step: u64, [x, m, v]: [f64; 3], gradient: f64) -> [f64; 3] {
         let c = &config.optimizer;
         let m = c.beta1 * m + (1.0 - c.beta1) * gradient;

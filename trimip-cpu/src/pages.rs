@@ -1,5 +1,6 @@
-//! Zeroed memory for buffers: small ones on the heap, large ones in large pages. A training step reads tables of features and
-//! gradients at random places. With pages of 4 KiB most of these reads wait for the page table.
+//! Zeroed memory for buffers: small buffers lie on the heap, large buffers in large pages. A training step reads tables of
+//! features and gradients at random addresses. With pages of 4 KiB, most of these reads would wait for a lookup in the page
+//! table.
 
 use bytemuck::{Pod, Zeroable};
 use std::ops::{Deref, DerefMut};
@@ -21,7 +22,7 @@ enum Memory {
 }
 
 impl Lines {
-    /// `count` lines of zeros.
+    /// Creates `count` lines of zeros.
     pub fn zeros(count: usize) -> Self {
         Self(mapped(count).unwrap_or_else(|| Memory::Heap(vec![ZERO; count])))
     }
@@ -49,17 +50,17 @@ impl Lines {
     }
 }
 
-/// Memory in large pages, if the system has them and `lines` are enough to fill one.
+/// Returns memory in large pages, if the system has them and `lines` are enough to fill one page.
 #[cfg(target_os = "linux")]
 fn mapped(lines: usize) -> Option<Memory> {
-    /// Least number of lines for which a block contains a whole page of 2 MiB at any alignment.
+    /// Minimum number of lines with which a block contains a whole page of 2 MiB at any alignment.
     const LEAST: usize = (4 << 20) / size_of::<Line>();
     if lines < LEAST {
         return None;
     }
     // If the mapping fails, the caller allocates on the heap.
     let map = memmap2::MmapMut::map_anon(lines.checked_mul(size_of::<Line>())?).ok()?;
-    // An error is ignored: small pages hold the same values.
+    // An error is ignored, because the mapping also works with small pages.
     let _ = map.advise(memmap2::Advice::HugePage);
     Some(Memory::Mapped(map))
 }

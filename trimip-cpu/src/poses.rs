@@ -1,5 +1,5 @@
-//! Gradients by camera poses on the CPU: the features on rays that are displaced to either side, times the gradients
-//! of the features.
+//! Gradients with respect to camera poses on the CPU: the features on rays that are displaced to both sides, times the
+//! gradients with respect to the features.
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
@@ -10,22 +10,22 @@ use trimip_core::field::encoders;
 use trimip_core::math::rng::Draws;
 use trimip_core::{Config, ViewSet};
 
-/// The stage of pose gradients.
+/// The stage that computes pose gradients.
 pub struct CpuPoses {
     policy: PosePolicy,
-    /// Floats in a row of features.
+    /// Number of floats in a row of features.
     stride: usize,
 }
 
 impl CpuPoses {
-    /// The stage of a configuration over training views; `None` unless the configuration refines poses.
+    /// Creates the stage for the training views. Returns `None` unless the configuration refines poses.
     pub fn new(config: &Config, views: Option<&ViewSet>) -> Option<Self> {
         let policy = PosePolicy::new(config, views)?;
         Some(Self { policy, stride: encoders::stride(config) })
     }
 }
 
-/// The random direction across ray `i` of a tile.
+/// Returns the random direction perpendicular to ray `i` of a tile.
 fn across(draws: &Draws, rays: &Rays<CpuBackend>, i: usize) -> [f32; 3] {
     direction(draws, rays.first + i as u32, &rays.rays[i])
 }
@@ -91,8 +91,8 @@ impl PoseGradients<CpuBackend> for CpuPoses {
     }
 }
 
-/// Adds the derivatives of a ray along `by`. `force` is their sum over the samples, `lever` the sum of distance times
-/// derivative.
+/// Adds the derivatives of a ray along the direction `by`. `force` is the sum of the samples' derivatives, `lever` the
+/// sum of distance times derivative.
 fn add_to(sums: &mut CameraSums, ray: &Ray, by: [f32; 3], force: f32, lever: f32) {
     let at: [f32; 3] = std::array::from_fn(|axis| force * ray.origin[axis] + lever * ray.direction[axis]);
     let turned = ray.cosine * lever;

@@ -1,26 +1,26 @@
-//! The reduction tree of a step. Set i of partial gradients belongs to leaf i modulo the number of leaves, a power of two. Reductions
-//! have two stages: the sets of a leaf in order, then the leaves in a balanced binary tree. Each rank has a subtree, so that it sends
-//! one sum, and all sums are bit-identical for any number of ranks.
+//! The reduction tree of a step. The number of leaves is a power of two, and set i of partial gradients belongs to leaf i modulo this
+//! number. Reductions have two stages: first the sets of each leaf are added up in order, then the leaves in a balanced binary tree.
+//! Each rank owns a subtree, so that it sends one sum, and all sums are bit-identical for any number of ranks.
 
 use std::ops::Range;
 use trimip_core::engine::exchange::Rank;
 
-/// The tree, by its number of leaves.
+/// The reduction tree, represented by its number of leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReductionTree(usize);
 
 impl ReductionTree {
-    /// A tree of `wanted` leaves, a power of two, or of as many as `partials` sets allow.
+    /// Creates a tree of `wanted` leaves, a power of two, or of fewer leaves if there are fewer sets (`partials`).
     pub fn new(wanted: u32, partials: usize) -> Self {
         Self((1 << partials.max(1).ilog2()).min((wanted as usize).max(1)))
     }
 
-    /// Number of leaves.
+    /// Returns the number of leaves.
     pub fn count(self) -> usize {
         self.0
     }
 
-    /// The leaves of a rank: a subtree.
+    /// Returns the leaves of a rank, which form a subtree.
     pub fn of(self, this_rank: Rank) -> Range<usize> {
         let (mut leaves, mut ranks) = (0..self.0, 0..this_rank.size);
         while ranks.len() > 1 {
@@ -34,13 +34,14 @@ impl ReductionTree {
         leaves
     }
 
-    /// True if a rank has set `index` of partial gradients.
+    /// Returns true if a rank owns set `index` of partial gradients.
     pub fn has(self, this_rank: Rank, index: usize) -> bool {
         self.of(this_rank).contains(&(index % self.0))
     }
 }
 
-/// The left and the right half of a range of ranks or leaves. If their number is odd, the right half has one more.
+/// Returns the left and the right half of a range of ranks or leaves. If the length is odd, the right half has one
+/// more.
 pub fn halves(range: Range<usize>) -> [Range<usize>; 2] {
     let half = range.start + range.len() / 2;
     [range.start..half, half..range.end]

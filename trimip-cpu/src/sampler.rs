@@ -19,17 +19,18 @@ use trimip_core::{Camera, Config, ViewSet};
 /// Number of pixels that are drawn and prefetched before the first of them is read.
 const AHEAD: usize = 32;
 
-/// The training views, and the policy by which a step's pixels are drawn from them.
+/// The training views, and the policy that draws a step's pixels from them.
 pub struct CpuSampler {
     policy: SamplerPolicy,
     views: Option<ViewSet>,
     depths: DepthIndex,
-    /// Errors of each cell of the error map. Integer sums do not depend on the order of threads.
+    /// Sum of errors and number of pixels of each cell of the error map. They are integers, so that their sums do not
+    /// depend on the order of threads.
     errors: Vec<[AtomicU64; 2]>,
 }
 
 impl CpuSampler {
-    /// A sampler over `views`. Without views it generates camera rays only.
+    /// Creates a sampler over `views`. Without views it generates only camera rays.
     pub fn new(config: &Config, views: Option<ViewSet>) -> Self {
         let depths = views.as_ref().map(|views| DepthIndex::new(&views.depths)).unwrap_or_default();
         let policy = SamplerPolicy::new(config, views.as_ref());
@@ -48,12 +49,12 @@ impl CpuSampler {
     }
 }
 
-/// Generates the cones of the next pixel of a tile.
+/// Appends the cones of a tile's next pixel to `rays`.
 #[inline]
 fn divide(camera: &Camera, [x, y]: [u32; 2], pattern: PixelPattern, rays: &mut Rays<CpuBackend>) {
     let (start, count) = (rays.rays.len() as u32, pattern.count());
     rays.groups.push(Segment { start, count });
-    // The usual case needs no divisions.
+    // A pixel of one cone, the usual case, needs no divisions.
     if pattern == PixelPattern::WHOLE {
         rays.rays.push(camera.cone(x, y).into());
         return;
@@ -92,7 +93,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         rays.first = allocation.cones_before(range.start);
         let (policy, Some(views)) = (&self.policy, &self.views) else { return };
         let (scale_weights, random_background) = (policy.scale_weights(), policy.random_background());
-        // Random pixels are not in any cache: several are prefetched before the first is read.
+        // Random pixels are not in any cache, so several pixels are prefetched before the first of them is read.
         let mut drawn = [Drawn { scale: 0, view: 0, pixel: 0, importance: 1.0 }; AHEAD];
         for (slot, index) in range.clone().enumerate() {
             if slot % AHEAD == 0 {
@@ -149,7 +150,7 @@ impl Sampler<CpuBackend> for CpuSampler {
         pixel_gradients: &Buffer<[f32; 4]>,
     ) {
         let Some(map) = self.policy.error_map() else { return };
-        // The cells are as random as the pixels, and are prefetched likewise.
+        // The error cells are as random as the pixels, so they are prefetched in the same way.
         let mut cells = [0; AHEAD];
         let tiles = rays.targets.chunks(AHEAD).zip(pixel_gradients.chunks(AHEAD));
         for (first, (targets, gradients)) in range.step_by(AHEAD).zip(tiles) {

@@ -1,5 +1,5 @@
 //! Evaluates densities front to back. Rays are walked in pieces of a few samples, and a ray that has become opaque is
-//! dropped. The kept samples, and every bit of their features and densities, equal those of evaluating all samples
+//! dropped. The kept samples, their features and their densities are bit-identical to those of evaluating all samples
 //! and pruning afterwards.
 
 use crate::buffer::Buffer;
@@ -19,7 +19,7 @@ use trimip_core::{Encoder, Field, Renderer};
 /// Maximum number of samples in a piece of a ray.
 const PIECE: usize = 16;
 
-/// Minimum number of samples in a piece before the grid's densities can end it.
+/// Minimum number of samples in a piece before the densities of the occupancy grid can end the piece.
 const LEAST: usize = 4;
 
 impl Rows {
@@ -80,7 +80,8 @@ pub(crate) fn visibility_pass(
     workspace.stream.scratch = Some(scratch);
 }
 
-/// Evaluates the densities of chosen samples, which are in ray order, and keeps the visible ones.
+/// Evaluates the densities of the samples `chosen`, which are ordered by ray, and keeps the visible ones. Returns the
+/// number of evaluated samples.
 fn evaluate_chosen(
     stages: &Stages<CpuBackend>,
     parameters: &Buffer<f32>,
@@ -93,7 +94,7 @@ fn evaluate_chosen(
     stages.density(parameters, workspace);
     let Workspace { stream, samples, field_context, radiance, kept, .. } = workspace;
     stages.renderer.prune(stream, radiance, samples, kept);
-    // Features are not pruned: only training reads them again.
+    // Features are not pruned, because only training reads them again.
     if kept.len() < count {
         stages.field.keep(stream, kept, field_context, radiance);
     }
@@ -124,7 +125,8 @@ impl Scratch {
         }));
     }
 
-    /// Chooses the samples of every ray as the first piece. Returns false if the proxy is unsure of some rays.
+    /// Chooses all samples of every ray and writes them to `piece`. Returns false if some rays are too wide for the
+    /// proxy.
     fn choose(&mut self, hybrid: &Hybrid, stages: &Stages<CpuBackend>, rays: &Rays<CpuBackend>) -> bool {
         let (walkers, samples) = (&mut self.walkers, &mut self.piece.samples);
         stages.renderer.simd.run(Choose { hybrid, walkers, stages, rays, samples });
@@ -201,8 +203,9 @@ impl Scratch {
     }
 }
 
-/// Places the next piece of every ray that is being walked, one segment each. A piece ends where the ray is opaque by the grid's
-/// running densities, so that little is evaluated behind the surface. These densities are maxima, so the ray may continue with
+/// Places the samples of the next piece of every ray that is being walked; each piece becomes one segment of `samples`. A piece
+/// ends where the running densities of the occupancy grid make the ray opaque, so that few samples behind the surface are
+/// evaluated. These densities are maxima and may exceed the field's; if the ray is not opaque after all, it continues with
 /// another piece.
 struct PlaceSamples<'a> {
     walkers: &'a mut [Walker],
@@ -250,8 +253,8 @@ impl Kernel for PlaceSamples<'_> {
     }
 }
 
-/// Chooses all samples of every ray, one segment each. If the proxy is unsure of a ray, the ray gets none and is
-/// walked afterwards.
+/// Chooses all samples of every ray; each ray becomes one segment of `samples`. A ray that is too wide for the proxy
+/// gets no samples and is walked afterwards.
 struct Choose<'a> {
     hybrid: &'a Hybrid,
     walkers: &'a mut [Walker],
@@ -289,7 +292,8 @@ impl Kernel for Choose<'_> {
     }
 }
 
-/// Lists the visible samples, extends their intervals by those of merged samples, and drops rays that have ended or become opaque.
+/// Lists the visible samples in `seen`, lengthens their intervals to include merged samples, and drops rays that have ended or
+/// become opaque.
 fn look(
     walkers: &mut Vec<Walker>,
     samples: &mut Samples<CpuBackend>,

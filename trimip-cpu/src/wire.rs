@@ -1,4 +1,5 @@
-//! Arrays of numbers as bytes, for messages between ranks of one program on machines of one kind.
+//! Converts arrays of numbers to bytes and back, for messages between ranks. All ranks run the same program on machines
+//! of the same kind.
 
 use crate::buffer::Buffer;
 use bytemuck::Pod;
@@ -15,16 +16,16 @@ pub fn put_counted<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
     put(out, values);
 }
 
-/// Reader of a message. A read beyond the end of the message is an error of the same kind as a lost rank: the results of
-/// that rank are unavailable. Nothing is allocated for missing values.
+/// Reader of a message. A read beyond the end of the message is an error of the same kind as a lost rank, because in
+/// both cases the results of a rank are unavailable. Nothing is allocated for missing values.
 pub struct Reader<'a> {
     rest: &'a [u8],
-    /// Bytes of the whole message.
+    /// Number of bytes of the whole message.
     length: usize,
 }
 
 impl<'a> Reader<'a> {
-    /// Reads from the beginning.
+    /// Creates a reader at the beginning of `bytes`.
     pub fn new(bytes: &'a [u8]) -> Self {
         Self { rest: bytes, length: bytes.len() }
     }
@@ -34,10 +35,10 @@ impl<'a> Reader<'a> {
         exchange::fault(format_args!("expected {expected} at byte {at} of {}", self.length))
     }
 
-    /// The next value.
+    /// Reads the next value.
     ///
     /// # Errors
-    /// When the message ends before it.
+    /// When the message is too short.
     pub fn one<T: Pod>(&mut self) -> Result<T> {
         self.bytes(size_of::<T>()).map(bytemuck::pod_read_unaligned)
     }
@@ -45,17 +46,17 @@ impl<'a> Reader<'a> {
     /// Overwrites `to` with the next values.
     ///
     /// # Errors
-    /// When the message has fewer; `to` is then unchanged.
+    /// When the message has fewer values; `to` is then unchanged.
     pub fn copy<T: Pod>(&mut self, to: &mut [T]) -> Result<()> {
         let to: &mut [u8] = bytemuck::cast_slice_mut(to);
         to.copy_from_slice(self.bytes(to.len())?);
         Ok(())
     }
 
-    /// The next `count` bytes.
+    /// Reads the next `count` bytes.
     ///
     /// # Errors
-    /// When the message has fewer.
+    /// When the message has fewer bytes.
     pub fn bytes(&mut self, count: usize) -> Result<&'a [u8]> {
         let Some((bytes, rest)) = self.rest.split_at_checked(count) else {
             return Err(self.fault(format_args!("{count} bytes")));
@@ -64,10 +65,10 @@ impl<'a> Reader<'a> {
         Ok(bytes)
     }
 
-    /// The next bytes, whose number comes first.
+    /// Reads a number of bytes, then that many bytes.
     ///
     /// # Errors
-    /// When the message has fewer.
+    /// When the message has fewer bytes.
     pub fn counted_bytes(&mut self) -> Result<&'a [u8]> {
         let count = self.count::<u8>()?;
         self.bytes(count)
@@ -82,7 +83,7 @@ impl<'a> Reader<'a> {
         fits.ok_or_else(|| self.fault(format_args!("{count} values of {} bytes", size_of::<T>())))
     }
 
-    /// Replaces a buffer by the values that [`put_counted`] wrote.
+    /// Replaces a buffer with the values that [`put_counted`] wrote.
     ///
     /// # Errors
     /// When the message has fewer values than it states.
@@ -91,7 +92,7 @@ impl<'a> Reader<'a> {
         self.copy(to)
     }
 
-    /// Replaces a list by the values that [`put_counted`] wrote.
+    /// Replaces a list with the values that [`put_counted`] wrote.
     ///
     /// # Errors
     /// When the message has fewer values than it states.
@@ -101,7 +102,7 @@ impl<'a> Reader<'a> {
         self.copy(to)
     }
 
-    /// Replaces a list by indices below `count` that [`put_counted`] wrote.
+    /// Replaces a list with the indices that [`put_counted`] wrote, all of which must be below `count`.
     ///
     /// # Errors
     /// When the message has fewer indices than it states, or an index is too large.
@@ -113,7 +114,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Checks that there are `expected` values.
+    /// Checks that `found`, the number of values `what` in the message, is `expected`.
     ///
     /// # Errors
     /// When the numbers differ.
@@ -127,7 +128,7 @@ impl<'a> Reader<'a> {
     /// Checks that the message is read to its end.
     ///
     /// # Errors
-    /// When it has more bytes.
+    /// When the message has more bytes.
     pub fn end(&self) -> Result<()> {
         match self.rest.is_empty() {
             true => Ok(()),
@@ -141,7 +142,7 @@ mod tests {
     use super::*;
     use trimip_core::ErrorKind;
 
-    /// A message of every kind of value.
+    /// Returns a message with every kind of value.
     fn message() -> Vec<u8> {
         let mut bytes = Vec::new();
         put(&mut bytes, &[7_u8]);

@@ -1,4 +1,5 @@
-//! State of a worker in addition to its workspace: memory for the rays that it walks, and the recent lengths of rays.
+//! State of a worker in addition to its workspace: memory for the rays that it walks, and the number of samples of
+//! recent pixels.
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
@@ -8,13 +9,14 @@ use trimip_core::engine::batch::{Radiance, Samples, Segment};
 use trimip_core::engine::proxy::Shaded;
 use trimip_core::math::compositing::Passed;
 
-/// Approximate maximum of samples in the rays that a worker renders at once; it bounds the worker's memory.
+/// Approximate maximum number of samples that a worker renders at once; it bounds the worker's memory.
 pub const SAMPLES_AT_ONCE: usize = 1536;
 
-/// Assumed number of samples of a pixel before any is rendered.
+/// Number of samples that a pixel is assumed to have before any pixel is rendered.
 const UNKNOWN_RAY: f32 = 256.0;
 
-/// Decay of the longest ray's length from one group of rays to the next; neighbouring rays have similar lengths.
+/// Decay of the largest number of samples per pixel from one group of pixels to the next; neighbouring pixels have
+/// similar numbers of samples.
 const REMEMBERED: f32 = 0.98;
 
 /// State of a worker in addition to its workspace.
@@ -31,13 +33,14 @@ impl Default for WorkerScratch {
 }
 
 impl WorkerScratch {
-    /// Number of pixels to render at once: many in general, few through fog, where each ray has hundreds of samples.
+    /// Returns the number of pixels to render at once: usually many, but few in fog, where each ray has hundreds of
+    /// samples.
     pub(crate) fn pixels_at_once(&self) -> usize {
         ((SAMPLES_AT_ONCE as f32 / self.most_samples) as usize).max(1)
     }
 
-    /// Records the samples of the pixels just rendered. Pixels without samples are ignored, because they say nothing
-    /// about their neighbours.
+    /// Records the numbers of samples of the pixels just rendered. A group without any samples is ignored, because it
+    /// says nothing about neighbouring pixels.
     pub(crate) fn saw(&mut self, groups: &[Segment], segments: &[Segment]) {
         let samples = |group: &Segment| segments[group.range()].iter().map(|segment| segment.count).sum();
         let longest: u32 = groups.iter().map(samples).max().unwrap_or(0);
@@ -51,7 +54,7 @@ impl WorkerScratch {
 pub struct Walker {
     pub ray: u32,
     pub cursor: Cursor,
-    /// Optical depths so far.
+    /// Optical depths of the samples so far.
     pub passed: Passed<f32>,
     /// True if the ray has left the box.
     pub out: bool,
@@ -66,9 +69,9 @@ pub struct Scratch {
     pub seen: Buffer<u32>,
     /// Visible samples, piece by piece.
     pub staged: Rows,
-    /// Rows of `staged` in ray order.
+    /// Indices of the rows of `staged`, ordered by ray.
     pub order: Vec<u32>,
-    /// For hybrid rendering: whether the proxy is sure of each ray.
+    /// For hybrid rendering: true for each ray whose samples the proxy has chosen, false for rays that are too wide.
     pub sure: Vec<bool>,
     pub groups: Groups,
 }
@@ -82,12 +85,12 @@ pub struct Rows {
     pub radiance: Buffer<Radiance>,
 }
 
-/// A worker's memory for groups.
+/// A worker's memory for groups of samples that share a colour.
 #[derive(Default)]
 pub struct Groups {
     /// The samples of a ray.
     pub samples: Vec<Shaded>,
-    /// One per sample: its weight in its group, negative for all samples of a group but the first.
+    /// For each sample: its weight in its group, negated for all samples of a group except the first.
     pub fractions: Vec<f32>,
 }
 

@@ -18,19 +18,19 @@ const MESSAGE: Tag = 3;
 /// Maximum number of bytes of a message: MPI counts in i32.
 const MOST: usize = 1 << 30;
 
-/// Time for which a rank that waits for an order polls without pause. Afterwards it sleeps [`NAP`] between polls, to leave its
-/// core to others.
+/// Time for which a rank that waits for a broadcast polls without a pause. Afterwards it sleeps [`NAP`] between polls, so that
+/// other threads can use its core.
 const EAGER: Duration = Duration::from_millis(5);
 const NAP: Duration = Duration::from_micros(200);
 
 /// Traffic of a rank in calls of `all_to_all`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Traffic {
-    /// Steps.
+    /// Number of steps.
     pub steps: u64,
     /// Bytes sent to other ranks.
     pub bytes: u64,
-    /// Bytes of the touched parts of the gradients of all steps.
+    /// Bytes of the touched parts of the gradients, summed over all steps.
     pub touched: u64,
     /// Seconds spent in calls of `all_to_all` after the first, including waits for slower ranks.
     pub trading: f64,
@@ -41,10 +41,10 @@ pub struct Traffic {
 /// All processes that were launched together.
 #[derive(Default)]
 pub struct World {
-    /// This rank among all ranks, and among those on its machine; set by [`World::start`].
+    /// This rank among all ranks, and among the ranks on its machine; set by [`World::start`].
     ranks: OnceLock<[Rank; 2]>,
     traffic: Mutex<(Traffic, Option<Instant>)>,
-    /// One thread at a time calls MPI.
+    /// Held during every call of MPI, so that only one thread calls MPI at a time.
     calls: Mutex<()>,
     /// MPI's environment, held from [`World::start`] to [`World::end`].
     universe: Mutex<Option<Universe>>,
@@ -54,8 +54,8 @@ impl World {
     /// Initialises MPI.
     ///
     /// # Errors
-    /// When MPI is already initialised, the library lets only one thread call it, or it does not see the ranks that were
-    /// launched.
+    /// When MPI is already initialised, when the MPI library lets only the first thread call it, or when its number of
+    /// ranks is not the number of launched processes.
     pub fn start(&self) -> Result<()> {
         let (universe, threading) = mpi::initialize_with_threading(Threading::Serialized)
             .ok_or_else(|| Error::device("MPI has been started before"))?;
@@ -95,7 +95,7 @@ impl World {
         drop(lock(&self.universe).take());
     }
 
-    /// Ends all ranks at once with this exit code.
+    /// Ends all ranks immediately with this exit code.
     pub fn abort(&self, code: u8) -> ! {
         SimpleCommunicator::world().abort(code.into())
     }
@@ -161,7 +161,7 @@ impl Ranks for World {
                 traffic.trading += started.elapsed().as_secs_f64();
                 traffic.seconds = since.elapsed().as_secs_f64();
             }
-            // The first call is not timed: there a rank waits for others that still read their data.
+            // The first call is not timed, because in it a rank waits for other ranks that still read their data.
             None => *since = Some(Instant::now()),
         }
         Ok(())

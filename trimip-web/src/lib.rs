@@ -30,7 +30,7 @@ impl Viewer {
     /// Loads a model from the bytes of its file.
     ///
     /// # Errors
-    /// When the bytes are no model, or the browser has no GPU that fits it.
+    /// When the bytes are not a model, or the browser has no GPU that can render it.
     pub async fn load(bytes: Vec<u8>) -> Result<Viewer, JsError> {
         let mut model = Model::from_bytes("the model", &bytes).map_err(thrown)?;
         drop(bytes);
@@ -48,7 +48,7 @@ impl Viewer {
         Ok(Self { loaded, crop, cropped: false, about })
     }
 
-    /// The scene's box, up direction, crop (in the coordinates of the photographs) and background, as JSON.
+    /// Returns the scene's box, up direction, crop (in the coordinates of the photographs) and background, as JSON.
     pub fn about(&self) -> String {
         self.about.clone()
     }

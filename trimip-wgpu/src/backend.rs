@@ -23,16 +23,17 @@ use trimip_core::engine::backend::{Stages, TrainWork};
 use trimip_core::engine::batch::{Batch, PartialGradients, StepResult, StepSums, Tiling, Workspace};
 use trimip_core::{Backend, Config, Error, Layout, Result, ViewSet};
 
-/// Number of iterations after which llvmpipe ends the loops of an invocation, minus a margin for its other loops.
+/// Number of iterations after which llvmpipe ends the loops of an invocation, minus a margin for the other loops of the
+/// invocation.
 const SOFTWARE_ROUNDS: usize = 60_000;
 
-/// Byte offset of the sum of the weights within a step's sums.
+/// Byte offset of the sum of the loss weights within a step's sums.
 const WEIGHT_AT: u64 = 4;
 
-/// Marched samples that the training loop plans for one tile.
+/// Number of marched samples that the training loop plans for one tile.
 const SAMPLES_PER_TILE: usize = 512;
 
-/// Maximum number of pixels or probes in a first tile, before their number of samples is known.
+/// Maximum number of pixels or probes in the first tile, when their number of samples is not yet known.
 const MOST_AT_FIRST: usize = 1 << 18;
 
 impl WgpuBackend {
@@ -51,7 +52,7 @@ impl WgpuBackend {
         lock(&self.workspaces).push(workspace);
     }
 
-    /// The tiles of a map over `count` items.
+    /// Returns the tiles that `count` items are divided into.
     fn tiles(&self, count: u32, per_tile: u32) -> Tiles {
         let capacity = *lock(&self.capacity);
         let chunk = (per_tile as usize * (capacity / SAMPLES_PER_TILE).max(1)).min(count as usize);

@@ -1,5 +1,4 @@
-//! The number of samples that arrays have the capacity for. It is fixed before the first step, so that memory can be
-//! predicted.
+//! The number of samples that fit into the arrays. It is fixed before the first step, so that memory can be predicted.
 
 use crate::gpu::BLOCK;
 use crate::products::padded;
@@ -18,20 +17,20 @@ pub const VIEW_SAMPLES: usize = 1 << 20;
 /// Minimum capacity for samples in a tile: one ray through the whole box.
 pub const LEAST_CAPACITY: usize = 4096;
 
-/// Number of samples that the arrays of a tile have the capacity for.
+/// Number of samples that fit into the arrays of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capacity {
     /// Marched samples.
     pub marched: usize,
-    /// Kept samples; at most as many as marched ones.
+    /// Kept samples; at most as many as marched samples.
     pub kept: usize,
 }
 
 impl Capacity {
-    /// The capacity of a tile on a device whose largest binding has `binding` bytes.
+    /// Computes the capacity of a tile on a device whose largest binding has `binding` bytes.
     pub fn new(config: &Config, training: bool, binding: u64) -> Self {
         let widest = (size_of::<f32>() * widest_row(config)) as u64;
-        // Whole blocks, because arrays are padded to them.
+        // Rounded down to whole blocks, because arrays are padded to whole blocks.
         let most = usize::try_from(binding / widest).unwrap_or(usize::MAX) / BLOCK * BLOCK;
         if !training {
             let marched = VIEW_SAMPLES.min(most);
@@ -44,7 +43,7 @@ impl Capacity {
     }
 }
 
-/// Floats in the widest row of a sample.
+/// Returns the number of floats in the widest row of a sample.
 fn widest_row(config: &Config) -> usize {
     let layers = [density_layers(config), color_layers(config)].concat();
     let widths = layers.into_iter().flatten().map(padded);
@@ -55,7 +54,8 @@ fn widest_row(config: &Config) -> usize {
 mod tests {
     use super::*;
 
-    /// Arrays are padded to whole blocks of rows; the padding too has to fit into the device's largest binding.
+    /// Checks that the arrays fit into the device's largest binding together with their padding, which fills whole
+    /// blocks of rows.
     #[test]
     fn the_capacity_fits_a_binding() {
         let mut config = Config::default();

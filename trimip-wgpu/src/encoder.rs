@@ -12,7 +12,7 @@ use trimip_core::config::EncoderKind;
 use trimip_core::engine::batch::{PartialGradients, Tile};
 use trimip_core::{Config, Encoder, field::encoders};
 
-/// The geometry of a tile's samples.
+/// Returns the geometry of a tile's samples.
 fn places(tile: &mut Tile<'_, WgpuBackend>) -> Places {
     let Tile { stream, rays, samples, .. } = tile;
     Places {
@@ -24,7 +24,7 @@ fn places(tile: &mut Tile<'_, WgpuBackend>) -> Places {
     }
 }
 
-/// Feature gradients of a step, with the places they belong to.
+/// Feature gradients of a step, with the samples that they belong to.
 #[derive(Default)]
 pub struct EncoderGradient(Option<FeatureGradients>);
 
@@ -34,13 +34,13 @@ macro_rules! encoders {
         /// The configured encoder.
         pub struct WgpuEncoder {
             any: Any,
-            /// Floats in a row of features: the encoder's width, padded.
+            /// Number of floats in a row of features: the encoder's width, padded.
             stride: usize,
-            /// Floats in a row of the context.
+            /// Number of floats in a row of the context.
             context: usize,
         }
 
-        /// Kernels of all encoders, for validation.
+        /// Returns the kernels of all encoders, for validation.
         #[cfg(test)]
         pub(crate) fn kernels() -> Vec<Kernel> {
             [$(<$encoding as Encoding>::kernels()),*].concat()

@@ -1,5 +1,5 @@
-//! Density and colour networks on the GPU. The activations of a step stay on the device. Without networks the outputs are the features: the
-//! logits of density and colour.
+//! Density and colour networks on the GPU. The activations of a step stay on the device. If the field has no networks, the encoder's
+//! features are the logits of density and colour.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
@@ -16,26 +16,27 @@ use trimip_core::engine::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
 
 shared! {
-    /// Parameters of the kernels between the networks.
+    /// Parameters of the kernels before and after the networks.
     struct FieldParams as Params {
         counter: u32,
-        /// Width of the colour network's input: the view, the geometry features with their sines and cosines, zeros.
+        /// Width of the colour network's input: the encoded view direction, the geometry features with their sines and
+        /// cosines, and padding.
         width: u32,
-        /// Number of values of the view, and number of geometry features.
+        /// Number of values of the encoded view direction, and number of geometry features.
         view: u32,
         geometry: u32,
-        /// Width of the density network's output: a logit, geometry features, zeros.
+        /// Width of the density network's output: the logit, the geometry features, and padding.
         outputs: u32,
-        /// 1 if the view is coordinates with sines and cosines, 0 if it is spherical harmonics.
+        /// 1 if the view direction is encoded as coordinates with sines and cosines, 0 if as spherical harmonics.
         frequencies_of_view: u32,
-        /// Numbers of frequencies.
+        /// Numbers of frequencies of the view direction and of the geometry features.
         view_frequencies: u32,
         geometry_frequencies: u32,
-        /// Function of the density, its shift and its factor.
+        /// Activation function of the density, with its shift and its factor.
         density: u32,
         shift: f32,
         scale: f32,
-        /// 1 without networks: the outputs are logits of density and of colours.
+        /// 1 if the field has no networks; the features are then the logits of density and colour.
         direct: u32,
     }
 
@@ -43,33 +44,33 @@ shared! {
     struct DimParams as Params {
         /// Number of rays.
         count: u32,
-        /// Least weight of a sample with a colour.
+        /// Minimum weight of a sample with a colour.
         least: f32,
     }
 }
 
 shared! {
-    /// Parameters of the draw of samples.
+    /// Parameters of the kernel that draws samples for the backward pass.
     struct DrawParams as Params {
         draws: [u32; 4],
         threshold: f32,
-        /// Number of rays, and the index of the first within the step.
+        /// Number of rays, and the index of the first ray within the step.
         count: u32,
         first: u32,
         /// Width of the density network's output; its first value is the logit.
         outputs: u32,
-        /// Function of the density, its shift and its factor.
+        /// Activation function of the density, with its shift and its factor.
         density: u32,
         shift: f32,
         scale: f32,
-        /// 1 without networks: colours are clamped, otherwise they are sigmoids.
+        /// 1 if the field has no networks; colours are then clamped, otherwise they are sigmoids.
         direct: u32,
     }
 }
 
 const PARAMS: Source = Parts(&[Source::of::<FieldParams>(), Text(include_str!("shaders/field_params.wgsl"))]);
 
-/// Operations between the layers of the two networks.
+/// Shader source: the operations before and after the two networks.
 pub const FIELD: Source = Parts(&[
     GRID,
     RAY,
@@ -90,7 +91,7 @@ const DRAW: [Source; 5] =
     [GRID, RANDOM, ACTIVATION, Source::of::<DrawParams>(), Text(include_str!("shaders/draw_samples.wgsl"))];
 
 kernels! {
-    /// The kernels of a field, apart from those of its networks.
+    /// The kernels of a field, except those of its networks.
     pub struct Kernels {
         densities: Kernel::new("densities", &[FIELD], &[(0, Read), (1, Write), (2, Parameters), (3, Read)]),
         color_inputs: Kernel::new(
@@ -125,7 +126,8 @@ pub struct WgpuField {
     policy: FieldPolicy,
     density: Mlp,
     color: Mlp,
-    /// Width of the colour network's input: the view, the geometry features with their sines and cosines, zeros.
+    /// Width of the colour network's input: the encoded view direction, the geometry features with their sines and
+    /// cosines, and padding.
     width: usize,
     layout: Layout,
     overflows: Buffer<u32>,
@@ -144,13 +146,13 @@ pub struct Context {
 }
 
 impl Context {
-    /// Outputs of the density network.
+    /// Returns the outputs of the density network.
     pub fn outputs(&self) -> &Buffer<f32> {
         &self.density[self.density.len() - 1]
     }
 }
 
-/// Weight gradients in chunks.
+/// Weight gradients of both networks, in chunks.
 pub struct FieldGradient {
     density: Partials,
     color: Partials,
@@ -177,12 +179,12 @@ impl WgpuField {
         }
     }
 
-    /// Width of the density network's output: a logit, geometry features, zeros.
+    /// Returns the width of the density network's output: the logit, the geometry features, and padding.
     pub fn outputs(&self) -> usize {
         padded(1 + self.geometry())
     }
 
-    /// Number of geometry features.
+    /// Returns the number of geometry features.
     pub fn geometry(&self) -> usize {
         self.policy.geometry
     }
@@ -205,8 +207,8 @@ impl WgpuField {
         }
     }
 
-    /// As [`Field::keep`], but keeps only the part of the context that colours need. A backward pass is not possible
-    /// afterwards.
+    /// Keeps rows as [`Field::keep`] does, but only of the part of the context that colours need. A backward pass is
+    /// not possible afterwards.
     pub fn keep_outputs(
         &self,
         stream: &mut Stream,
@@ -220,12 +222,12 @@ impl WgpuField {
         stream.keep(kept, radiance, 4);
     }
 
-    /// The counter of factors that f16 cannot hold.
+    /// Returns the counter of factors that f16 cannot hold.
     pub fn overflows(&self) -> &Buffer<u32> {
         &self.overflows
     }
 
-    /// Switches to f32 after a factor that f16 cannot hold.
+    /// Switches to f32, after a factor has occurred that f16 cannot hold.
     fn fall_back(&mut self) {
         let [density, color] = [&self.policy.density, &self.policy.color]
             .map(|network| Mlp::new(&self.gpu, network, &self.layout, None, &self.overflows));
@@ -319,7 +321,7 @@ impl Field<WgpuBackend> for WgpuField {
         let binds = [logits.bind(), radiance.bind(), rows.bind()];
         self.gpu.dispatch(&self.kernels.colors, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
         if least > 0.0 {
-            // A colour of 0 has no gradient: its derivative by the logit is 0.
+            // A colour of 0 has no gradient, because its derivative with respect to the logit is 0.
             let count = samples.segments.known_len().unwrap_or(0);
             let binds = [samples.segments.bind(), radiance.bind(), samples.intervals.bind()];
             let params = DimParams { count: count as u32, least };

@@ -1,4 +1,4 @@
-//! Hybrid rendering on the GPU: the samples of a ray are chosen by the densities of the proxy.
+//! Hybrid rendering on the GPU: the densities of the proxy determine where a ray has samples.
 
 use crate::field::Context;
 use crate::gpu::Access::{Parameters, Read, Write};
@@ -16,21 +16,21 @@ use trimip_core::engine::proxy::{BEHIND, BRICK, Guide, Layers, Rule};
 use trimip_core::{Error, Result};
 
 shared! {
-    /// Parameters of choosing samples.
+    /// Parameters of the kernels that choose samples.
     struct ChooseParams as Params {
         space: GpuSpace,
-        /// Cells of the proxy along each axis.
+        /// Number of cells of the proxy along each axis.
         cells: [u32; 3],
         /// Number of rays.
         count: u32,
-        /// Index of the first word of the bricks, and of the codes, in the proxy.
+        /// Index of the first word of the bricks in the proxy, and of the first word of the codes.
         bricks: u32,
         codes: u32,
         /// Maximum number of samples.
         capacity: u32,
-        /// More than the steps of any ray.
+        /// Upper bound of the number of steps of a ray.
         last: f32,
-        /// Length of a step along the proxy, and of the steps of volume rendering.
+        /// Step length along the proxy, and step length of volume rendering.
         step: f32,
         step_length: f32,
         step_per_radius: f32,
@@ -40,14 +40,14 @@ shared! {
         least: f32,
         opaque: f32,
         behind: f32,
-        /// See [`Layers`]; 0 layers select the rule of weights.
+        /// See [`Layers`]; if the number of layers is 0, the rule of weights applies.
         delta: f32,
         surface: f32,
         layers: u32,
         samples: u32,
     }
 
-    /// Parameters of sharing colours.
+    /// Parameters of the kernel that shares colours.
     struct ShareParams as Params {
         /// Number of rays.
         count: u32,
@@ -56,7 +56,7 @@ shared! {
         /// See [`Rule`].
         shared_weight: f32,
         reach: f32,
-        /// Width of the density network's output: a logit, geometry features, zeros.
+        /// Width of the density network's output: the logit, the geometry features, and padding.
         outputs: u32,
         geometry: u32,
     }
@@ -111,10 +111,11 @@ kernels! {
 pub struct Hybrid {
     gpu: Arc<Gpu>,
     kernels: Kernels,
-    /// Optical depth and opacity of a step for each code, then one word per brick, then eight codes per word.
+    /// For each code, the optical depth and opacity of a step; then one word per brick; then the cells' codes, eight
+    /// per word.
     proxy: Buffer<u32>,
     cells: [u32; 3],
-    /// Index of the first word of the bricks, and of the codes.
+    /// Index of the first word of the bricks, and index of the first word of the codes.
     places: [u32; 2],
     rule: Rule,
     layers: Option<Layers>,
@@ -126,7 +127,7 @@ impl Hybrid {
     /// Copies a proxy to the device.
     ///
     /// # Errors
-    /// When it is larger than the device's largest binding.
+    /// When the proxy is larger than the device's largest binding.
     pub fn new(gpu: &Arc<Gpu>, guide: &Guide) -> Result<Self> {
         let steps = guide.steps.iter().flatten().map(|value| value.to_bits());
         let mut words: Vec<u32> = steps.collect();

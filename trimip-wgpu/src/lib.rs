@@ -53,14 +53,15 @@ use trimip_core::{Config, Result, Session, ViewSet, Viewer};
 /// several equally good adapters.
 ///
 /// # Errors
-/// When there is no such adapter, or the configuration does not fit it.
+/// When there is no such adapter, or the configuration does not fit its limits.
 pub fn open(config: &Config, views: ViewSet, index: usize) -> Result<Box<dyn Session>> {
     let own: WgpuConfig = config.section()?;
     let backend = WgpuBackend::one_of(&own.adapter, index, own.deterministic)?;
     Ok(Box::new(Trainer::new(backend, config, views)?))
 }
 
-/// As [`open`], trained together with other ranks, each on a GPU of its own where a machine has several.
+/// Creates an untrained model as [`open`] does, to be trained together with other ranks. If a machine has several GPUs,
+/// its ranks are spread over them.
 ///
 /// # Errors
 /// As [`open`].
@@ -77,13 +78,13 @@ pub fn open_over(config: &Config, views: ViewSet, ranks: Arc<dyn Ranks>) -> Resu
 /// several equally good adapters.
 ///
 /// # Errors
-/// When there is no such adapter, or the model does not fit it.
+/// When there is no such adapter, or the model does not fit its limits.
 pub fn load(model: &Model, adapter: &str, index: usize) -> Result<Box<dyn Viewer>> {
     let backend = WgpuBackend::one_of(adapter, index, true)?;
     Ok(Box::new(LoadedModel::new(backend, model)?))
 }
 
-/// As [`load`], without blocking, for a page in a browser. The model renders with
+/// Loads a model as [`load`] does, without blocking, for a page in a browser. The model renders with
 /// [`render_async`](LoadedModel::render_async).
 ///
 /// # Errors

@@ -1,5 +1,5 @@
-//! The loss on the GPU: the terms of pixels in one kernel, each term of rays in its own. Sums stay on the device until the step
-//! is over.
+//! The loss on the GPU: one kernel evaluates all pixel terms, and each ray term has its own kernel. Sums stay on the device
+//! until the step is over.
 
 use crate::gpu::{Binds, Buffer, GROUP, Gpu, Size};
 use crate::losses::{GAIN_WORDS, Kernels, Params, PixelTerms, RayParams, SUM_WORDS};
@@ -29,13 +29,14 @@ pub struct DeviceSums {
     pub buffer: wgpu::Buffer,
     /// Number of pixels of the step.
     pub rays: u32,
-    /// Gains of photographs with the derivatives by their logarithms, and the number of photographs.
+    /// The exposure gain of each photograph and the derivative of the loss with respect to the gain's logarithm; then
+    /// the number of photographs.
     pub exposures: Option<(wgpu::Buffer, usize)>,
-    /// Derivatives by motions of the photographs' cameras, and the number of photographs.
+    /// Derivatives of the loss with respect to the motion of each photograph's camera; then the number of photographs.
     pub cameras: Option<(wgpu::Buffer, usize)>,
 }
 
-/// Converts the sums of the photographs' derivatives, `N` of each, from 64-bit fixed point with low words first.
+/// Converts sums of derivatives, `N` per photograph, from 64-bit fixed point. The low word of a sum comes first.
 pub fn sums_of<const N: usize>(words: &[u32]) -> Vec<[f64; N]> {
     let fixed = |[low, high]: [u32; 2]| (i64::from(high.cast_signed()) << 32) | i64::from(low);
     let value = |words: &[u32; 2]| fixed(*words) as f64 / f64::from(POINT);
@@ -48,11 +49,12 @@ pub struct WgpuLoss {
     gpu: Arc<Gpu>,
     kernels: Kernels,
     config: LossConfig,
-    /// Fraction of the run.
+    /// Progress of the run, from 0 to 1.
     progress: f64,
     space: GpuSpace,
     sums: Buffer<u32>,
-    /// Gains of the photographs, then the derivatives by their logarithms; empty without gains.
+    /// Exposure gains of the photographs, then the derivatives of the loss with respect to the gains' logarithms; empty
+    /// if there are no gains.
     exposures: Buffer<u32>,
 }
 
@@ -64,14 +66,14 @@ impl WgpuLoss {
             kernels: Kernels::new(gpu, config.loss.photometric),
             config: config.loss.clone(),
             progress: 0.0,
-            // The loss needs no cells.
+            // The loss uses no occupancy cells, so any resolution serves.
             space: GpuSpace::new(&Space::new(&config.scene), 1),
             sums: Buffer::zeros(gpu, SUMS),
             exposures: Buffer::zeros(gpu, 0),
         }
     }
 
-    /// Weight and numbers of a term, as the shaders read them.
+    /// Returns the weight of a term, then its numbers, as the shaders read them.
     fn numbers<T: Definition + ?Sized>(&self, term: &T) -> [f32; 4] {
         let [a, b, c] = term.numbers(&self.config);
         [term.weight_at(&self.config, self.progress), a, b, c]
@@ -149,7 +151,7 @@ impl Loss<WgpuBackend> for WgpuLoss {
                 continue;
             }
             let params = RayParams { space: self.space, term, count, blocks };
-            // The array is free: the sums of the pixels are already added up.
+            // The array can be reused, because the sums of the pixels are already added up.
             stream.sums.resize(4 * blocks as usize);
             let binds = Binds::new(samples.segments.bind())
                 .and([radiance_gradients.bind(), radiance.bind(), samples.intervals.bind()])

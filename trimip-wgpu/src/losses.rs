@@ -1,6 +1,7 @@
-//! The terms of the loss on the GPU: the list of their WGSL in `shaders/losses`, composed into the kernels of the loss. A file
-//! defines a function of the term's name: `fn NAME(difference, numbers) -> vec2` of a photometric term, `fn NAME(pixel, at,
-//! numbers, factor, gradient) -> f32` of a term of pixels, `fn NAME(cone, at, fraction) -> f32` of a term of rays.
+//! The loss terms on the GPU: the list of their WGSL files in `shaders/losses`, from which the kernels of the loss are
+//! composed. A file defines a function with the term's name: `fn NAME(difference, numbers) -> vec2` for a photometric term,
+//! `fn NAME(pixel, at, numbers, factor, gradient) -> f32` for a pixel term, `fn NAME(cone, at, fraction) -> f32` for a ray
+//! term.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -12,26 +13,26 @@ use trimip_core::field::losses::RAY_TERMS;
 use trimip_core::scene::edge_exponents::LEAST_OPACITY;
 
 shared! {
-    /// Parameters of the terms of pixels.
+    /// Parameters of the pixel terms.
     pub struct Params as Params {
         /// Number of pixels.
         pub count: u32,
         /// Number of workgroups.
         pub blocks: u32,
-        /// 1 to average only over pixels with samples.
+        /// 1 if the loss averages only over pixels with samples.
         pub live: u32,
         /// Number of photographs that have gains.
         pub photographs: u32,
-        /// Weight, then numbers of the photometric term.
+        /// Weight of the photometric term, then its numbers.
         pub photometric: [f32; 4],
-        /// Weight, then numbers of each term of pixels.
+        /// Weight of each pixel term, then its numbers.
         pub terms: PixelTerms,
     }
 
-    /// Parameters of a term of rays.
+    /// Parameters of a ray term.
     pub struct RayParams as Params {
         pub space: GpuSpace,
-        /// Weight relative to the colour, then the numbers of the term.
+        /// Weight of the term relative to the photometric term, then its numbers.
         pub term: [f32; 4],
         /// Number of pixels.
         pub count: u32,
@@ -40,9 +41,9 @@ shared! {
     }
 }
 
-/// Words of a photograph's three gains.
+/// Number of words of a photograph's three gains.
 pub const GAIN_WORDS: usize = words(size_of::<[f32; 3]>()) as usize;
-/// Words of a photograph's three sums in fixed point, which follow the gains of all photographs.
+/// Number of words of a photograph's three sums in fixed point, which follow the gains of all photographs.
 pub const SUM_WORDS: usize = words(size_of::<[u64; 3]>()) as usize;
 
 const PARAMS: [Source; 2] = [Source::of::<PixelTerms>(), Source::of::<Params>()];
@@ -54,24 +55,24 @@ const EXPOSED: [Source; 4] = [
     Text(include_str!("shaders/losses/exposure_gain.wgsl")),
 ];
 
-/// Test for finite numbers.
+/// Shader source: tests whether numbers are finite.
 pub const FINITE: Source = Text(include_str!("shaders/finite.wgsl"));
 
 /// The kernels of a configuration's loss.
 pub struct Kernels {
-    /// Evaluates the terms of pixels, without gains of photographs.
+    /// Evaluates the pixel terms, without exposure gains.
     pub evaluate: Pipeline,
-    /// As `evaluate`, with gains.
+    /// Evaluates the pixel terms, with exposure gains.
     pub evaluate_exposed: Pipeline,
     /// Adds up the sums of the pixels' workgroups.
     pub add_up: Pipeline,
-    /// For each term of rays, as core lists them.
+    /// The kernels of each ray term, in the order of core's list.
     pub rays: [RayKernels; RAY_TERMS.len()],
 }
 
-/// The kernels of a term of rays.
+/// The kernels of a ray term.
 pub struct RayKernels {
-    /// Evaluates the cones.
+    /// Evaluates the term for every cone.
     pub cones: Pipeline,
     /// True if the cones' kernel reads the rays in addition to the samples along them.
     pub reads_rays: bool,
@@ -80,7 +81,7 @@ pub struct RayKernels {
 }
 
 impl Kernels {
-    /// Finds the pipelines of a device.
+    /// Looks up the pipelines on a device.
     pub fn new(gpu: &Gpu, kind: Photometric) -> Self {
         let [evaluate, evaluate_exposed] = [false, true].map(|exposed| gpu.pipeline(evaluate(kind, exposed)));
         let rays = RAY_SOURCES.map(|term| {
@@ -91,7 +92,7 @@ impl Kernels {
     }
 }
 
-/// The kernel that evaluates pixels with the photometric term `kind`, with or without gains of photographs.
+/// Returns the kernel that evaluates pixels with the photometric term `kind`, with or without exposure gains.
 fn evaluate(kind: Photometric, exposed: bool) -> Kernel {
     let kernel = Kernel::new(
         "evaluate",
@@ -122,12 +123,12 @@ fn add_up() -> Kernel {
     )
 }
 
-/// True if a term of rays reads the rays in addition to the samples along them.
+/// Returns true if a ray term reads the rays in addition to the samples along them.
 fn reads_rays(term: &str) -> bool {
     term.contains("rays[")
 }
 
-/// The kernels of a term of rays: that of the cones, and that of their sums.
+/// Returns the kernels of a ray term: one evaluates the cones, the other adds up their sums.
 fn ray_kernels(term: &'static str) -> [Kernel; 2] {
     let sources = [
         GRID,
@@ -158,14 +159,14 @@ macro_rules! losses {
         ray { $($ray:ident),* $(,)? }
     ) => {
         shared! {
-            /// Weight and numbers of each term of pixels.
+            /// Weight and numbers of each pixel term.
             pub struct PixelTerms as PixelTerms {
                 $(pub $pixel: [f32; 4]),*
             }
         }
 
         impl PixelTerms {
-            /// The terms in the order of core's list.
+            /// Creates the parameters from the terms in the order of core's list.
             pub fn of([$($pixel),*]: [[f32; 4]; trimip_core::field::losses::PIXEL_TERMS.len()]) -> Self {
                 Self { $($pixel),* }
             }
@@ -175,7 +176,7 @@ macro_rules! losses {
         pub const PENALTIES: &str =
             concat!($(include_str!(concat!("shaders/losses/", stringify!($photometric), ".wgsl"))),*);
 
-        /// The functions of the terms of pixels, and their weighted sum.
+        /// The functions of the pixel terms, and the function that computes their weighted sum.
         const TERMS: &str = concat!(
             $(include_str!(concat!("shaders/losses/", stringify!($pixel), ".wgsl")),)*
             "fn pixel_terms(loss: f32, pixel: vec4<f32>, at: u32, weight: f32, gradient: ptr<function, vec4<f32>>) -> f32 {\n",
@@ -188,7 +189,7 @@ macro_rules! losses {
             "    return sum;\n}\n",
         );
 
-        /// The function that calls the photometric term.
+        /// Returns the WGSL function that calls the photometric term.
         fn penalty(kind: Photometric) -> &'static str {
             match kind {
                 $(Photometric::$kind => concat!(
@@ -198,14 +199,14 @@ macro_rules! losses {
             }
         }
 
-        /// The function of each term of rays, and the one that calls it.
+        /// For each ray term: its function, and the function that calls it.
         const RAY_SOURCES: [&str; RAY_TERMS.len()] = [$(concat!(
             include_str!(concat!("shaders/losses/", stringify!($ray), ".wgsl")),
             "fn ray_term(cone: u32, at: u32, fraction: f32) -> f32 {\n    return ", stringify!($ray),
             "(cone, at, fraction);\n}\n",
         )),*];
 
-        /// Names of the terms of pixels and of rays.
+        /// Names of the pixel terms and of the ray terms.
         #[cfg(test)]
         const PIXEL_NAMES: &[&str] = &[$(stringify!($pixel)),*];
         #[cfg(test)]
@@ -222,7 +223,7 @@ losses! {
     ray { distortion, depth }
 }
 
-/// Every kernel, for validation.
+/// Returns every kernel, for validation.
 #[cfg(test)]
 pub fn all() -> Vec<Kernel> {
     let photometric =

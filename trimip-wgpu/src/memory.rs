@@ -16,26 +16,27 @@ use trimip_core::{Config, Layout, Pixel, Space, ViewSet};
 /// Bytes of an f32.
 const FLOAT: usize = size_of::<f32>();
 
-/// Kept samples per ray of a trained model.
+/// Number of kept samples per ray of a trained model.
 const KEPT_PER_RAY: usize = 4;
 
 /// Capacity for rays relative to their expected number, as a fraction: [numerator, denominator].
 const RAYS_SPARE: [usize; 2] = [5, 4];
 
-/// Arrays of parameter size: parameters, gradient and two moments.
+/// Number of arrays as long as the parameters: parameters, gradient and two AdamW moments.
 const PARAMETER_COPIES: usize = 4;
 
-/// Copies of a layer's matrix, without the chunks of its gradient: the matrix and its transpose.
+/// Number of copies of a layer's matrix: the matrix and its transpose. The chunks of its gradient are counted
+/// separately.
 const MATRIX_COPIES: usize = 2;
 
-/// Name and bytes of each part, on the configured adapter.
+/// Returns the name and bytes of each part, on the configured adapter.
 pub fn memory(config: &Config, views: &ViewSet) -> Vec<(String, u64)> {
     // If there is no such adapter, or a setting is refused, the run does not start and its limits do not matter.
     let Ok(own) = config.section::<WgpuConfig>() else { return Vec::new() };
     predict(config, &own, views, largest_binding(&own.adapter).unwrap_or(u64::MAX))
 }
 
-/// As [`memory`], for a device whose largest binding has `binding` bytes.
+/// Predicts the memory as [`memory`] does, for a device whose largest binding has `binding` bytes.
 fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> Vec<(String, u64)> {
     let layout = Layout::new(config);
     let derived = encoders::of(config).derived_bytes(config) as usize;
@@ -46,7 +47,7 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let widths = |layers: &[[usize; 2]]| layers.iter().map(|[_, outputs]| padded(*outputs)).sum::<usize>();
     let (density, color) = (density_layers(config), color_layers(config));
 
-    // Arrays that are gathered exist twice: as marched and as kept.
+    // Arrays that are gathered exist twice: for marched and for kept samples.
     let samples = size_of::<Sphere>() + size_of::<Interval>() + size_of::<u32>();
     let encoding = encoders::stride(config) + encoders::of(config).context(config);
     let asked = (encoding + widths(&density)) * FLOAT;
@@ -57,10 +58,10 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let by_inputs = color_inputs + last(&density) + encoders::stride(config);
     let by_outputs = last(&color) + 2 * hidden;
     let refines = config.train.cameras == CameraPoses::Refine;
-    // Samples on displaced rays, and a slope of each.
+    // The samples again on displaced rays, and one slope per sample.
     let displaced = if refines { size_of::<Sphere>() + (encoding + 1) * FLOAT } else { 0 };
-    // Drawn samples: a mark for each, and one spare array of each width for gradients and the colour network's
-    // activations.
+    // For the draw of samples: one mark per sample, and one spare array per width for gradients and the colour
+    // network's activations.
     let draws = config.train.backward_fraction.values().any(|fraction| fraction < 1.0);
     let outputs = color.iter().map(|[_, outputs]| padded(*outputs));
     let spares: BTreeSet<usize> = outputs.chain([color_inputs, size_of::<Radiance>() / FLOAT]).collect();

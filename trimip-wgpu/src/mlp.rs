@@ -1,6 +1,6 @@
-//! A network on the GPU, layer by layer, each layer a product of matrices. Widths are padded to multiples of 16 with zero
-//! weights. Biases, and the product with an input that joins again, are written first. The product of the layer is then
-//! added to them.
+//! A network on the GPU: each layer is a product of matrices. Widths are padded to multiples of 16 with zero weights. If
+//! a layer has biases, or a skip connection from the network's input, the biases and the product of the skip connection
+//! are written first. The product of the layer is then added to them.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -11,7 +11,7 @@ use std::sync::Arc;
 use trimip_core::Layout;
 use trimip_core::field::networks::Network;
 
-/// Number of chunks of a weight gradient, each over a run of samples; the chunks are added in order.
+/// Number of chunks of a weight gradient. Each chunk sums a run of samples, and the chunks are added in order.
 pub const CHUNKS: u32 = 64;
 
 shared! {
@@ -25,9 +25,9 @@ shared! {
         k: u32,
         n: u32,
         chunks: u32,
-        /// Factor that the sum of the chunks is multiplied by.
+        /// Factor by which the sum of the chunks is multiplied.
         scale: f32,
-        /// Leading inputs whose sum is the first output. They have no weights, nor has that output.
+        /// Number of leading inputs whose sum is the first output. Neither these inputs nor that output have weights.
         ones: u32,
     }
 
@@ -36,7 +36,7 @@ shared! {
         counter: u32,
         width: u32,
         chunks: u32,
-        /// Floats between the sums of two chunks.
+        /// Distance between the sums of two chunks, in floats.
         stride: u32,
     }
 }
@@ -47,7 +47,7 @@ const WEIGHT_HALF: Source = Text(include_str!("shaders/weight_half.wgsl"));
 const BIASES: [Source; 3] = [GRID, Source::of::<BiasParams>(), Text(include_str!("shaders/biases.wgsl"))];
 
 kernels! {
-    /// The kernels of a network, apart from its products.
+    /// The kernels of a network, except its products.
     pub struct Kernels {
         /// Writes a layer's matrix and its transpose, in f32 or in f16.
         pack: Kernel::new("pack", &WEIGHTS, &[(0, Read), (1, Write), (2, Parameters), (3, Write)])
@@ -55,7 +55,7 @@ kernels! {
         pack_half: Kernel::new("pack", &WEIGHTS, &[(0, Read), (1, Write), (2, Parameters), (3, Write)])
             .and(&[HALF, WEIGHT_HALF], &[])
             .cooperative(),
-        /// Adds the chunks of a weight gradient.
+        /// Adds up the chunks of a weight gradient.
         reduce: Kernel::new("reduce", &WEIGHTS, &[(0, Read), (1, Write), (2, Parameters)])
             .and(&[WEIGHT_FLOAT], &[]),
         /// Writes the biases to every row.
@@ -67,7 +67,7 @@ kernels! {
 
 /// The products of a layer with its weights.
 struct Products {
-    /// By [`Finish`]: with the matrix, and with its transpose.
+    /// Products with the matrix, and products with its transpose, one for each [`Finish`].
     forward: [Pipeline; FINISHES.len()],
     backward: [Pipeline; FINISHES.len()],
     accumulate: Pipeline,
@@ -86,12 +86,12 @@ impl Products {
     }
 }
 
-/// Weights of some inputs of a layer, or its biases as a matrix of one row.
+/// Weights of some of a layer's inputs, or the layer's biases as a matrix of one row.
 struct Weights {
     /// Index of the first parameter, and the shape of the parameters.
     start: usize,
     shape: [usize; 2],
-    /// Leading inputs whose sum is the first output; they have no parameters.
+    /// Number of leading inputs that have fixed weights of one instead of parameters: their sum is the first output.
     ones: usize,
     k: usize,
     n: usize,
@@ -106,7 +106,7 @@ struct Weights {
 }
 
 impl Weights {
-    /// The weights `shape` from the parameter `start` on.
+    /// Creates weights of the shape `shape`, whose parameters begin at index `start`.
     fn new(of: &Common<'_>, start: usize, shape: [usize; 2], ones: usize) -> Self {
         let &Common { gpu, kernels, matrices, overflows } = of;
         let [k, n] = [shape[0] + ones, shape[1] + usize::from(ones > 0)].map(padded);
@@ -126,7 +126,7 @@ impl Weights {
         }
     }
 
-    /// The binding of the overflow counter, if the layer uses cooperative matrices.
+    /// Returns the binding of the overflow counter, if the layer uses cooperative matrices.
     fn overflows(&self) -> Option<Bind<'_>> {
         self.matrices.map(|_| Bind::whole(&self.overflows))
     }
@@ -151,14 +151,14 @@ impl Weights {
         gpu.dispatch(kernel, &binds, &self.params(), Size::Items((self.k * self.n) as u64));
     }
 
-    /// Adds the chunks of a gradient and writes the sums to the gradient of the parameters.
+    /// Adds up the chunks of a gradient and writes the sums to the gradient of the parameters.
     fn reduce(&self, gpu: &Gpu, partial: &Buffer<f32>, parameter_gradient: &Buffer<f32>) {
         let binds = [partial.bind(), parameter_gradient.bind()];
         let items = self.shape.iter().product::<usize>() as u64;
         gpu.dispatch(&self.kernels.reduce, &binds, &self.params(), Size::Items(items));
     }
 
-    /// The product of rows with the matrix.
+    /// Computes the product of rows with the matrix.
     fn multiply(&self, gpu: &Gpu, rows: &Rows, input: &Buffer<f32>, out: &Buffer<f32>, finish: Finish) {
         let binds = Binds::new(input.bind()).and([self.forward.bind(), out.bind(), rows.bind()]);
         let size = multiplying(rows, self.k, self.n, self.matrices);
@@ -166,7 +166,7 @@ impl Weights {
         gpu.dispatch(product, &binds.and(self.overflows()), &Counter { counter: rows.counter }, size);
     }
 
-    /// The product of gradients with the transpose; `mask` belongs to [`Finish::Mask`].
+    /// Computes the product of gradients with the transpose; `mask` is the mask of [`Finish::Mask`].
     fn pull(
         &self,
         gpu: &Gpu,
@@ -197,7 +197,7 @@ impl Weights {
         gpu.dispatch(&self.products.accumulate, &binds.and(self.overflows()), &params, groups);
     }
 
-    /// Workgroups per chunk of the weight gradient.
+    /// Returns the number of workgroups per chunk of the weight gradient.
     fn tiles(&self) -> u64 {
         let side = |width: usize| width / (16 * tile(width) as usize);
         match self.matrices {
@@ -210,19 +210,19 @@ impl Weights {
 /// The parameters of one layer.
 struct Layer {
     weights: Weights,
-    /// Weights of the network's input, if it joins this layer again.
+    /// Weights of the network's input, if this layer has a skip connection from it.
     joined: Option<Weights>,
     biases: Option<Weights>,
 }
 
 impl Layer {
-    /// All parts, in the order of their gradients.
+    /// Iterates over all parts, in the order of their gradients.
     fn parts(&self) -> impl Iterator<Item = &Weights> {
         [&self.weights].into_iter().chain(&self.joined).chain(&self.biases)
     }
 }
 
-/// Padded width of the outputs without networks, and of the logits of colours.
+/// Padded width of the colour logits, and of the outputs of a field without networks.
 pub const DIRECT: usize = 16;
 
 /// The values that all layers of a network share.
@@ -233,7 +233,7 @@ struct Common<'a> {
     overflows: &'a Buffer<u32>,
 }
 
-/// A ReLU network. Without layers its output is a copy of its input.
+/// A ReLU network. A network without layers copies its input.
 pub struct Mlp {
     layers: Vec<Layer>,
     kernels: Arc<Kernels>,
@@ -249,7 +249,7 @@ pub type Partials = Vec<Vec<Buffer<f32>>>;
 pub struct Flow<'a> {
     /// Gradient of the network's output.
     pub by_output: &'a Buffer<f32>,
-    /// The gradients above and below a layer.
+    /// Gradients of a layer's outputs and of its inputs.
     pub scratch: &'a mut [Buffer<f32>; 2],
     /// Receives the gradient of the network's input.
     pub by_input: &'a mut Buffer<f32>,
@@ -258,7 +258,7 @@ pub struct Flow<'a> {
 }
 
 impl Mlp {
-    /// The network `shape`, with its parameters as placed by `layout`.
+    /// Creates the network `shape`; `layout` determines where its parameters lie.
     pub fn new(
         gpu: &Arc<Gpu>,
         shape: &Network,
@@ -283,23 +283,23 @@ impl Mlp {
         Self { layers: layers.collect(), kernels }
     }
 
-    /// True if the network has no layers.
+    /// Returns true if the network has no layers.
     pub fn is_empty(&self) -> bool {
         self.layers.is_empty()
     }
 
-    /// True if the factors of products are f16.
+    /// Returns true if the factors of products are f16.
     pub fn is_half(&self) -> bool {
         self.layers.iter().any(|layer| layer.weights.matrices.is_some())
     }
 
-    /// Padded widths of the activations.
+    /// Returns the padded widths of the activations.
     pub fn widths(&self) -> impl Iterator<Item = usize> {
         let direct = self.is_empty().then_some(DIRECT);
         self.layers.iter().map(|layer| layer.weights.n).chain(direct)
     }
 
-    /// Empty activations.
+    /// Creates empty activations.
     pub fn activations(&self, gpu: &Arc<Gpu>) -> Activations {
         self.widths().map(|_| Buffer::zeros(gpu, 0)).collect()
     }
@@ -309,7 +309,7 @@ impl Mlp {
         self.layers.iter().flat_map(Layer::parts).for_each(|part| part.pack(gpu, parameters));
     }
 
-    /// Adds the chunks of gradients and writes the sums to the gradient of the parameters.
+    /// Adds up the chunks of gradients and writes the sums to the gradient of the parameters.
     pub fn reduce(&self, gpu: &Gpu, partials: &Partials, parameter_gradient: &Buffer<f32>) {
         for (layer, partials) in self.layers.iter().zip(partials) {
             for (part, partial) in layer.parts().zip(partials) {
@@ -318,7 +318,7 @@ impl Mlp {
         }
     }
 
-    /// Chunks of the gradients of all parts.
+    /// Creates the chunks of the gradients of all parts.
     pub fn partials(&self, gpu: &Arc<Gpu>) -> Partials {
         let chunks = |part: &Weights| Buffer::zeros(gpu, part.k * part.n * CHUNKS as usize);
         self.layers.iter().map(|layer| layer.parts().map(chunks).collect()).collect()
@@ -327,7 +327,7 @@ impl Mlp {
     /// Runs rows through the network.
     pub fn forward(&self, gpu: &Gpu, rows: &Rows, first: &Buffer<f32>, activations: &mut Activations) {
         if self.layers.is_empty() {
-            // The width of the features is that of the outputs.
+            // Features and outputs have the same width.
             let out = &mut activations[0];
             rows.size(out, DIRECT);
             let bytes = (rows.capacity.next_multiple_of(BLOCK) * DIRECT * size_of::<f32>()) as u64;
@@ -359,7 +359,7 @@ impl Mlp {
         }
     }
 
-    /// Computes the gradient of the input and of the weights from that of the output.
+    /// Computes the gradients of the input and of the weights from the gradient of the output.
     pub fn backward(
         &self,
         gpu: &Gpu,

@@ -18,7 +18,7 @@ use trimip_core::geometry::occupancy::coordinates;
 use trimip_core::math::bits;
 use trimip_core::math::rng::Sequence;
 
-/// Indices into the state: cells selected, cells occupied, cells queried in a tile.
+/// Indices of the counters in `state`: selected cells, occupied cells, and cells that a tile queries.
 const CHOSEN: u32 = 0;
 pub const OCCUPIED: u32 = 1;
 const ASKED: u32 = 2;
@@ -40,7 +40,7 @@ shared! {
         threshold: f32,
         /// Number of workgroups that sum densities.
         blocks: u32,
-        /// Number of cells inside of the visual hull; the others have a negative density.
+        /// Number of cells inside the visual hull; cells outside have a negative density.
         inside: u32,
     }
 }
@@ -96,16 +96,16 @@ kernels! {
     }
 }
 
-/// Grid, bits and running densities.
+/// The occupancy grid: the running densities of its cells, and their bits.
 pub struct WgpuOccupancy {
     gpu: Arc<Gpu>,
     kernels: Kernels,
     policy: OccupancyPolicy,
     params: Params,
-    /// Number of samples that a tile has room for.
+    /// Number of samples that fit into a tile.
     capacity: usize,
     state: Buffer<u32>,
-    /// Two words per block, then two words per block of blocks.
+    /// The bits: two words per block of cells, then two words per block of blocks.
     grid: Buffer<u32>,
     chosen: Buffer<u32>,
     densities: Buffer<f32>,
@@ -153,22 +153,22 @@ impl WgpuOccupancy {
         grid
     }
 
-    /// Cells along a side.
+    /// Returns the number of cells along a side.
     pub fn resolution(&self) -> u32 {
         self.params.space.resolution
     }
 
-    /// The bits, for marching.
+    /// Returns the bits, for ray marching.
     pub fn grid(&self) -> &Buffer<u32> {
         &self.grid
     }
 
-    /// The counters.
+    /// Returns the counters.
     pub fn state(&self) -> &Buffer<u32> {
         &self.state
     }
 
-    /// Block index and bit index of a cell.
+    /// Returns the block index and the bit index of a cell.
     fn place(&self, cell: u32) -> (usize, u32) {
         place(coordinates(cell, self.params.space.resolution), self.params.space.resolution / SIDE)
     }
@@ -193,7 +193,8 @@ impl WgpuOccupancy {
     }
 }
 
-/// Block index, for blocks of side four with `blocks` blocks along each side, and bit index within the block.
+/// Returns the index of the block that contains `at`, and the bit index within the block. Blocks have side four, and
+/// there are `blocks` blocks along each side.
 fn place(at: [u32; 3], blocks: u32) -> (usize, u32) {
     let [x, y, z] = at.map(|c| c / SIDE);
     let [bx, by, bz] = at.map(|c| c % SIDE);

@@ -1,4 +1,4 @@
-//! AdamW on the GPU: one dispatch per slot. If the step has no weight, nothing changes.
+//! AdamW on the GPU: one dispatch per slot. If the loss weights of a step sum to 0, nothing changes.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -21,18 +21,18 @@ shared! {
         rate: f32,
         root_correction: f32,
         shrink: f32,
-        /// In units of four parameters: first and count.
+        /// First parameter and number of parameters, in units of four.
         start: u32,
         count: u32,
-        /// Groups of this many parameters, a power of two up to 16, are skipped if none has a gradient; 0: all are
-        /// updated.
+        /// Number of parameters in a group, a power of two up to 16. Groups without a gradient are skipped; 0 updates
+        /// all parameters.
         group: u32,
-        /// Added to the gradient with the sign of the parameter.
+        /// Value that is added to the gradient with the sign of the parameter.
         sparsity: f32,
     }
 }
 
-/// Updates the parameters of a slot.
+/// Returns the kernel that updates the parameters of a slot.
 pub fn update() -> Kernel {
     Kernel::new(
         "update",
@@ -41,7 +41,7 @@ pub fn update() -> Kernel {
     )
 }
 
-/// Moments of all parameters.
+/// AdamW moments of all parameters.
 pub struct WgpuOptimizer {
     gpu: Arc<Gpu>,
     update: Pipeline,
@@ -54,8 +54,8 @@ pub struct WgpuOptimizer {
 }
 
 impl WgpuOptimizer {
-    /// Zero moments; minimal buffers unless `training`. `skipped` counts the gradients, and terms of gradients, that
-    /// are left out because of their size.
+    /// Creates an optimiser with zero moments; the buffers are minimal unless `training`. `skipped` counts the
+    /// gradients, and terms of gradients, that are left out because of their size.
     pub fn new(
         gpu: &Arc<Gpu>,
         config: &Config,
@@ -107,7 +107,7 @@ impl Optimizer<WgpuBackend> for WgpuOptimizer {
 }
 
 impl WgpuOptimizer {
-    /// Updates all slots; the second value of `sums` is the sum of the weights.
+    /// Updates all slots; the second value of `sums` is the sum of the loss weights.
     fn move_all(
         &mut self,
         parameters: &Buffer<f32>,
@@ -147,8 +147,8 @@ mod tests {
     use trimip_core::config::Untouched;
     use trimip_core::field::params::Slot;
 
-    /// Algorithm 2 of Loshchilov and Hutter as printed: value and moments after step `step` at a learning rate of
-    /// 1e-3.
+    /// Returns the value and moments after step `step` at a learning rate of 1e-3, from Algorithm 2 of Loshchilov and
+    /// Hutter as printed.
     fn printed(config: &Config, slot: &Slot, step: u64, [x, m, v]: [f64; 3], gradient: f64) -> [f64; 3] {
         let c = &config.optimizer;
         let m = c.beta1 * m + (1.0 - c.beta1) * gradient;

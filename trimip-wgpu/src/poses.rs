@@ -1,5 +1,6 @@
-//! Gradients by camera poses on the GPU: the features on rays that are displaced to either side, times the gradients of the
-//! features. The derivatives of each photograph are summed in 64-bit fixed point, bit-identical in any order.
+//! Gradients with respect to camera poses on the GPU: the features on rays that are displaced to both sides, times the
+//! gradients with respect to the features. The derivatives of each photograph are summed in 64-bit fixed point, so their
+//! sums are bit-identical in any order.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};
@@ -14,7 +15,7 @@ use trimip_core::engine::batch::{CameraSums, Displaced, Rays, Tile};
 use trimip_core::engine::policy::PosePolicy;
 use trimip_core::{Config, ViewSet, field::encoders};
 
-/// Words of a photograph's twelve sums in fixed point.
+/// Number of words of a photograph's twelve sums in fixed point.
 pub const SUM_WORDS: usize = words(size_of::<CameraSums>()) as usize;
 
 shared! {
@@ -22,20 +23,20 @@ shared! {
     struct Params as Params {
         space: GpuSpace,
         draws: [u32; 4],
-        /// 1 or −1.
+        /// Side to which rays are displaced: 1 or −1.
         side: f32,
         /// Number of rays, or of pixels.
         count: u32,
         /// Index of the tile's first ray within the step.
         first: u32,
-        /// Floats in a row of features, and those before its padding.
+        /// Number of floats in a row of features, with and without padding.
         stride: u32,
         width: u32,
         counter: u32,
     }
 }
 
-/// A kernel of `poses.wgsl`.
+/// Returns the kernel of `poses.wgsl` with the entry point `entry`.
 fn kernel(entry: &'static str, bindings: &[(u32, crate::gpu::Access)]) -> Kernel {
     let sources = [
         GRID,
@@ -66,22 +67,22 @@ kernels! {
     }
 }
 
-/// The stage of pose gradients.
+/// The stage that computes pose gradients.
 pub struct WgpuPoses {
     gpu: Arc<Gpu>,
     kernels: Kernels,
     policy: PosePolicy,
-    /// Parameters that no tile changes.
+    /// Parameters that are the same for all tiles.
     params: Params,
     sums: Buffer<u32>,
 }
 
 impl WgpuPoses {
-    /// The stage of a configuration over training views; `None` unless the configuration refines poses.
+    /// Creates the stage for the training views. Returns `None` unless the configuration refines poses.
     pub fn new(gpu: &Arc<Gpu>, config: &Config, views: Option<&ViewSet>) -> Option<Self> {
         let policy = PosePolicy::new(config, views)?;
         let params = Params {
-            // The kernels use no cells.
+            // The kernels use no occupancy cells, so any resolution serves.
             space: GpuSpace::new(&policy.space, 1),
             stride: encoders::stride(config) as u32,
             width: policy.width as u32,
@@ -91,7 +92,7 @@ impl WgpuPoses {
         Some(Self { gpu: Arc::clone(gpu), kernels: Kernels::new(gpu), policy, params, sums })
     }
 
-    /// The parameters of the rays of a tile at a step.
+    /// Returns the parameters for the rays of a tile at a step.
     fn params(&self, step: u64, rays: &Rays<WgpuBackend>) -> Params {
         Params { draws: self.policy.draws(step).words(), first: rays.first, ..self.params }
     }

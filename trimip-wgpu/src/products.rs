@@ -1,4 +1,5 @@
-//! Kernels of matrix products, in f32 or with cooperative f16 matrices: sizes of their tiles and blocks of rows.
+//! Kernels of matrix products, in f32 or with cooperative f16 matrices, and the sizes of their tiles and blocks of
+//! rows.
 
 use crate::gpu::Access::{self, Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
@@ -8,12 +9,12 @@ use crate::shaders::HALF;
 shared! {
     /// Parameters of a product.
     pub struct Counter as Params {
-        /// Index of the counter of rows: counts[counter].
+        /// Index of the counter that holds the number of rows: counts[counter].
         pub counter: u32,
     }
 }
 
-/// Invocations of a workgroup of the products in f32.
+/// Number of invocations of a workgroup in products in f32.
 const THREADS: u32 = 256;
 
 const PLAIN: Source = Parts(&[
@@ -37,15 +38,15 @@ const ACCUMULATE_COOPERATIVE: Source =
 /// Operation on a product before it is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
-    /// None.
+    /// No operation.
     Store,
     /// ReLU: values below zero become zero.
     Relu,
-    /// Derivative of a ReLU: zero where the mask is not above zero.
+    /// Derivative of a ReLU: values become zero where the mask is not above zero.
     Mask,
     /// Adds the product to the stored value; f32 only.
     Add,
-    /// Adds the product to the stored value, then ReLU; f32 only.
+    /// Adds the product to the stored value, then applies a ReLU; f32 only.
     AddRelu,
 }
 
@@ -60,21 +61,21 @@ impl Finish {
         })
     }
 
-    /// The bindings that it adds to those of a product.
+    /// Returns the bindings of this operation, in addition to those of a product.
     fn bindings(self) -> &'static [(u32, Access)] {
         if self == Self::Mask { &[(4, Read)] } else { &[] }
     }
 }
 
-/// Rows per tile of a product in f32.
+/// Number of rows per tile of a product in f32.
 const TILE_ROWS: u32 = 64;
 
-/// Padded width of a matrix on the device.
+/// Returns the padded width of a matrix on the device.
 pub fn padded(width: usize) -> usize {
     width.next_multiple_of(16)
 }
 
-/// Columns of a tile, in units of 16, for a matrix of `n` columns.
+/// Returns the number of columns of a tile, in units of 16, for a matrix of `n` columns.
 pub fn tile(n: usize) -> u32 {
     (1..=4).rev().find(|t| n.is_multiple_of(16 * t)).unwrap_or(1) as u32
 }
@@ -82,11 +83,11 @@ pub fn tile(n: usize) -> u32 {
 /// Factor that keeps small gradients within the range of f16; it leaves room for gradients up to 255.
 pub const GRADIENT_SCALE: u32 = 256;
 
-/// Floats of a block of rows in workgroup memory: 16 KiB of f16.
+/// Number of values of a block of rows in workgroup memory: 16 KiB of f16.
 const BLOCK: usize = 8192;
 
 impl Matrices {
-    /// WGSL of the matrix types.
+    /// Returns the WGSL of the matrix types.
     fn source(self) -> Source {
         Text(match self.side {
             16 => include_str!("shaders/cooperative_16.wgsl"),
@@ -94,13 +95,13 @@ impl Matrices {
         })
     }
 
-    /// Number of adjacent matrices that a subgroup sums at once.
+    /// Returns the number of adjacent matrices that a subgroup sums at once.
     fn across(self, n: usize) -> u32 {
         (1..=4).rev().find(|t| n.is_multiple_of((self.side * t) as usize)).unwrap_or(1)
     }
 
-    /// Rows of a block of `k` columns. The number divides [`crate::gpu::BLOCK`], to which arrays are padded, so that
-    /// no block exceeds its array.
+    /// Returns the number of rows of a block of `k` columns. It divides [`crate::gpu::BLOCK`], to which arrays are
+    /// padded, so that no block exceeds its array.
     pub fn rows(self, k: usize) -> u32 {
         match BLOCK / k {
             64.. => 64,
@@ -109,7 +110,7 @@ impl Matrices {
         }
     }
 
-    /// Workgroups per chunk of a weight gradient [k, n].
+    /// Returns the number of workgroups per chunk of a weight gradient [k, n].
     pub fn tiles(self, k: usize, n: usize) -> u32 {
         (k as u32).div_ceil(self.side * self.subgroups) * (n as u32 / (self.side * self.across(n)))
     }
@@ -118,8 +119,8 @@ impl Matrices {
 /// The binding of the counter of overflows.
 const OVERFLOWS: &[(u32, Access)] = &[(6, Write)];
 
-/// The product of [rows, k] and [k, n], in f32 or with cooperative `matrices`. The latter multiply the left factor by
-/// `scale` and have one more binding, the counter of overflows.
+/// Returns the kernel of the product of [rows, k] and [k, n], in f32 or with cooperative `matrices`. A kernel with
+/// `matrices` multiplies the left factor by `scale` and has one more binding, the counter of overflows.
 pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, scale: u32) -> Kernel {
     let bindings = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (5, Read)];
     let shape = [("K", k as u32), ("N", n as u32)];
@@ -134,7 +135,7 @@ pub fn multiply(k: usize, n: usize, finish: Finish, matrices: Option<Matrices>, 
     kernel.and(&[finish.source()], finish.bindings())
 }
 
-/// Workgroups of the product of [rows, k] and [k, n].
+/// Returns the size of a dispatch of the product of [rows, k] and [k, n].
 pub fn multiplying(rows: &Rows, k: usize, n: usize, matrices: Option<Matrices>) -> Size<'_> {
     match matrices {
         None => rows.tiles(TILE_ROWS, n as u32 / (16 * tile(n))),
@@ -142,8 +143,9 @@ pub fn multiplying(rows: &Rows, k: usize, n: usize, matrices: Option<Matrices>) 
     }
 }
 
-/// The weight gradient [k, n] in `chunks` parts, in f32 or with cooperative `matrices`. The latter leave it
-/// multiplied by [`GRADIENT_SCALE`] and have one more binding, the counter of overflows.
+/// Returns the kernel of the weight gradient [k, n] in `chunks` parts, in f32 or with cooperative `matrices`. The
+/// result of a kernel with `matrices` is multiplied by [`GRADIENT_SCALE`], and the kernel has one more binding, the
+/// counter of overflows.
 pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -> Kernel {
     let bindings = &[(0, Read), (1, Read), (2, Parameters), (3, Write), (4, Read)];
     let shape = [("K", k as u32), ("N", n as u32), ("CHUNKS", chunks)];
@@ -163,7 +165,7 @@ pub fn accumulate(k: usize, n: usize, chunks: u32, matrices: Option<Matrices>) -
     }
 }
 
-/// All products and weight gradients that a configuration can select, or similar ones, for validation.
+/// Returns all products and weight gradients that a configuration can select, or similar ones, for validation.
 #[cfg(test)]
 pub fn all() -> Vec<Kernel> {
     let sizes = [(8, 16), (16, 4), (16, 1)];
@@ -189,7 +191,7 @@ pub fn all() -> Vec<Kernel> {
 mod tests {
     use super::*;
 
-    /// Cooperative stores write whole blocks of rows, so arrays have to end with a whole block.
+    /// Checks that arrays end with a whole block of rows, because cooperative stores write whole blocks.
     #[test]
     fn arrays_end_with_whole_blocks() {
         let matrices = Matrices { side: 16, subgroups: 4 };

@@ -1,8 +1,8 @@
-//! The camera models on a GPU, in the order of [`trimip_core::geometry::projections`]: the WGSL of each defines `cone_NAME`, and
-//! `cone_of_model` calls that of a view.
+//! The camera models on a GPU, in the order of [`trimip_core::geometry::projections`]: the WGSL of each model defines
+//! `cone_NAME`, and `cone_of_model` calls the function of a view's model.
 
-/// Joins the files of the models, and writes `cone_of_model`. Each line has the number of a view's `lens` and the model's
-/// name.
+/// Joins the files of the models, and writes `cone_of_model`. Each line has a value of a view's `lens`, and the name of
+/// the model that it stands for.
 macro_rules! models {
     ($($number:literal => $name:literal),+ $(,)?) => {
         /// WGSL of all models.

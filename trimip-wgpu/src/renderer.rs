@@ -1,4 +1,4 @@
-//! Marching, pruning and compositing on the GPU.
+//! Ray marching, pruning and compositing on the GPU.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
@@ -18,10 +18,10 @@ use trimip_core::math::compositing::Pruning;
 use trimip_core::math::rng::Sequence;
 use trimip_core::{Config, Pixel, Renderer, Result};
 
-/// Segments per invocation of the prefix sums.
+/// Number of segments per invocation of the prefix sums.
 const EACH: u32 = 4;
 
-/// Segments per workgroup of the prefix sums.
+/// Number of segments per workgroup of the prefix sums.
 const BLOCK: u32 = EACH * GROUP;
 
 /// Indices of the counters in [`Samples::counts`].
@@ -29,14 +29,14 @@ pub(crate) const MARCHED: u32 = 0;
 pub(crate) const KEPT: u32 = 1;
 const DRAWN: u32 = 4;
 
-/// Number of pairs in [`Samples::counts`]. Each counter has a second one for the samples that are dropped.
+/// Number of pairs in [`Samples::counts`]. Each counter has a second counter, for the samples that are dropped.
 const COUNTS: usize = 4;
 
 /// Distance from a counter to the counter of the samples that do not fit into their arrays.
 const DROPPED: u32 = 2;
 
 shared! {
-    /// Parameters of marching.
+    /// Parameters of ray marching.
     struct MarchParams as Params {
         space: GpuSpace,
         draws: [u32; 4],
@@ -47,7 +47,7 @@ shared! {
         first: u32,
         /// Number of rays.
         count: u32,
-        /// Words of bits per ray.
+        /// Number of words per ray; a word has one bit per step.
         words: u32,
         /// Maximum number of samples.
         capacity: u32,
@@ -88,7 +88,7 @@ shared! {
     }
 }
 
-/// Walking rays in steps through the occupied cells of the grid.
+/// Shader source: walks rays in steps through the occupied cells of the occupancy grid.
 pub const WALK: Source = Parts(&[SPACE, BLOCKS, Text(include_str!("shaders/walk.wgsl"))]);
 
 const MARCH: [Source; 6] =
@@ -178,7 +178,7 @@ pub struct WgpuRenderer {
     kernels: Kernels,
     pub(crate) policy: RendererPolicy,
     training: bool,
-    /// Number of marched samples that a tile has room for, and number of kept ones.
+    /// Number of marched samples, and number of kept samples, that fit into a tile.
     pub(crate) capacity: usize,
     kept_capacity: usize,
     hybrid: Option<Hybrid>,
@@ -220,8 +220,8 @@ impl WgpuRenderer {
 }
 
 impl WgpuRenderer {
-    /// Lists the marked samples in `kept` and drops the others. The segments' counts are those of the marked samples; their
-    /// sum is written to the counter `counter`.
+    /// Lists the marked samples in `kept` and drops all others. On entry, the segments' counts are the numbers of marked
+    /// samples; their sum is written to the counter with index `counter`.
     pub(crate) fn list(
         &self,
         stream: &mut Stream,

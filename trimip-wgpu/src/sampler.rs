@@ -27,14 +27,14 @@ const MOST_THREADS: usize = 8;
 /// Maximum number of scales of a data set.
 const MOST_SCALES: usize = 8;
 
-/// Words of a cell's errors.
+/// Number of words of a cell's errors.
 const WORDS_OF_CELL: usize = 4;
 
-/// Number of cones along a side that denotes the quincunx on the device. No grid has as many.
+/// Number of cones along a side that denotes the quincunx on the device. No grid has as many cones along a side.
 const QUINCUNX: u32 = 0x100;
 
 shared! {
-    /// A camera and the place of its pixels.
+    /// A camera, and the position of its pixels among all pixels.
     struct GpuView as View {
         /// Rows of the camera-to-world rotation, each followed by a component of the origin.
         pose: [[f32; 4]; 3],
@@ -45,13 +45,15 @@ shared! {
         width: u32,
         /// Index of the view's first pixel.
         offset: u32,
-        /// 0 for a pinhole, otherwise one more than the camera model's place in its registry.
+        /// 0 for a pinhole, otherwise one more than the camera model's index in its registry.
         lens: u32,
-        /// The lens, with the letters of [`trimip_core::geometry::lens`]: k1 to k4; d1 to d3 and the domain; p1, p2, s1, s2.
+        /// Coefficients of the lens, with the letters of [`trimip_core::geometry::lens`]: k1 to k4; d1 to d3 and the domain;
+        /// p1, p2, s1, s2.
         radial: [f32; 4],
         denominator: [f32; 4],
         shift: [f32; 4],
-        /// First cell of the error map, its columns and rows; height of the view.
+        /// First cell of the view in the error map, the view's numbers of columns and rows of cells, and the view's
+        /// height in pixels.
         cells: [u32; 4],
     }
 
@@ -77,13 +79,14 @@ shared! {
         depths: u32,
         /// Number of cells of the error map, in each component.
         cells: [u32; 4],
-        /// Pixels of the step from this index on belong to this scale or a coarser one.
+        /// For each scale: the pixels of the step from this index on belong to this scale or to a coarser one.
         begins: [u32; MOST_SCALES],
-        /// By scale: loss weight of a pixel, its cones ([`side_of`]), edge exponent of its photographs.
+        /// For each scale: loss weight of a pixel, cones of a pixel ([`side_of`]), and edge exponent of the
+        /// photographs.
         weights: [f32; MOST_SCALES],
         sides: [u32; MOST_SCALES],
         exponents: [f32; MOST_SCALES],
-        /// By scale: its first pixel and view, and their numbers; [`per_pixel`].
+        /// For each scale: first pixel and number of pixels, first view and number of views, and [`per_pixel`].
         first_pixels: [u32; MOST_SCALES],
         pixels: [u32; MOST_SCALES],
         first_views: [u32; MOST_SCALES],
@@ -92,7 +95,7 @@ shared! {
     }
 }
 
-/// Cameras and the cones of their pixels.
+/// Shader source: cameras and the cones of their pixels.
 pub const CAMERA: Source = Parts(&[
     RAY,
     Source::of::<GpuView>(),
@@ -144,7 +147,8 @@ const OBSERVE: [Source; 9] = [
     Text(include_str!("shaders/observe.wgsl")),
 ];
 
-/// The kernel that generates the rays of a training step, whose pixels are drawn by the error map or evenly.
+/// Returns the kernel that generates the rays of a training step. If `by_error` is true, the error map determines how
+/// pixels are drawn; otherwise they are drawn evenly.
 fn training_rays(by_error: bool) -> Kernel {
     let kernel = Kernel::new(
         "training_rays",
@@ -154,12 +158,12 @@ fn training_rays(by_error: bool) -> Kernel {
     if by_error { kernel.and(&[BY_ERROR], &[(10, Read)]) } else { kernel.and(&[EVENLY], &[]) }
 }
 
-/// As [`training_rays`], and each pixel stores the number of its photograph.
+/// Returns the kernel of [`training_rays`] that also stores the photograph of each pixel.
 fn training_rays_exposed(by_error: bool) -> Kernel {
     training_rays(by_error).and(&[PHOTOGRAPHS_KEPT], &[(7, Write), (8, Read)])
 }
 
-/// The kernel that gives targets their known depths.
+/// Returns the kernel that writes known depths to targets.
 fn known_depths() -> Kernel {
     Kernel::new("known_depths", &KNOWN_DEPTHS, &[(2, Parameters), (5, Write), (9, Read)])
 }
@@ -202,7 +206,7 @@ impl GpuView {
     }
 }
 
-/// The training views on the device, and the policy by which a step's pixels are drawn from them.
+/// The training views on the device, and the policy that draws a step's pixels from them.
 pub struct WgpuSampler {
     gpu: Arc<Gpu>,
     kernels: Kernels,
@@ -214,25 +218,25 @@ pub struct WgpuSampler {
 
 struct Training {
     views: Buffer<GpuView>,
-    /// All pixels, or only those of a step's rays.
+    /// All pixels, or only the pixels of a step's rays.
     pixels: Mutex<Buffer<u32>>,
     /// All pixels, if they stay on the host.
     host: Option<trimip_core::Pixels>,
-    /// The views on the host, and the cells of each.
+    /// The views on the host, and the error-map cells of each view.
     on_host: Vec<View>,
     cells: Vec<Grid>,
     /// Smallest random number that draws each cell of the error map.
     starts: Buffer<u32>,
-    /// Errors of each cell, as `observe` sums them.
+    /// Errors of each cell, which the kernel `observe` sums.
     errors: Buffer<u32>,
-    /// The photograph of each view, with `loss.exposure` or refined poses.
+    /// The photograph of each view; `None` unless the run uses `loss.exposure` or refines poses.
     photographs: Option<Buffer<u32>>,
-    /// Sorted by pixel.
+    /// Known depths, sorted by pixel.
     depths: Buffer<KnownDepth>,
 }
 
 impl WgpuSampler {
-    /// A sampler over `views`. Without views it generates camera rays only.
+    /// Creates a sampler over `views`. Without views it generates only camera rays.
     ///
     /// # Errors
     /// When the photographs exceed the device's largest binding.
@@ -265,7 +269,7 @@ impl WgpuSampler {
     }
 }
 
-/// The cells of the error map of each view's photograph.
+/// Returns the error-map cells of each view's photograph.
 fn cells(policy: &SamplerPolicy, views: &ViewSet) -> Vec<Grid> {
     let Some(map) = policy.error_map() else { return vec![Grid::default(); views.views.len()] };
     views.scales.iter().flat_map(|_| map.grids()).copied().collect()
@@ -293,7 +297,7 @@ fn side_of(pattern: PixelPattern) -> u32 {
     }
 }
 
-/// Makes room for the cones of a tile's pixels; `cones` are their indices in the step.
+/// Makes room for the cones of a tile's pixels; `cones` are the indices of the cones in the step.
 fn make_room(rays: &mut Rays<WgpuBackend>, pixels: &Range<u32>, cones: Range<u32>) {
     rays.first = cones.start;
     rays.rays.resize(cones.len());
@@ -365,7 +369,7 @@ impl Training {
     }
 }
 
-/// Looks up the pixels `range` of a step, with the same random numbers as the device. A few threads share the work.
+/// Looks up the pixels `range` of a step on a few threads. It draws them with the same random numbers as the device.
 fn look_up(
     policy: &SamplerPolicy,
     views: &[View],

@@ -1,9 +1,9 @@
-//! The settings of this backend. Their defaults and meanings are the table in `settings.toml`.
+//! The settings of this backend. Their defaults and meanings are in the table `settings.toml`.
 
 use serde::{Deserialize, Serialize};
 use trimip_core::{ForeignSection, Fragment, Section};
 
-/// The settings of this backend, for a program to register.
+/// The settings of this backend, which a program can register.
 pub const SECTION: ForeignSection = ForeignSection::of::<WgpuConfig>();
 
 /// The GPU: the section `[wgpu]`.

@@ -10,15 +10,15 @@ shared! {
     /// A space and the cells of its occupancy grid.
     pub struct GpuSpace as Space {
         aabb_min: [f32; 3],
-        /// Cells along each side of the occupancy grid.
+        /// Number of cells along each side of the occupancy grid.
         pub resolution: u32,
         aabb_max: [f32; 3],
         /// Longest side of the box.
         longest: f32,
-        /// Inverse size of the box. Quotients are computed on the host, exact to half an ulp; a device's own division
-        /// may be less accurate.
+        /// Inverse size of the box. The quotients are computed on the host, where they are exact to half an ulp; a
+        /// device's own division may be less accurate.
         inverse_extent: [f32; 3],
-        /// Radius of the ball in the middle of the box that keeps its shape; 0 in a bounded space.
+        /// Radius of the uncontracted ball in the middle of the box; 0 in a bounded space.
         ball: f32,
         cell_extent: [f32; 3],
         /// Shortest side of a cell.
@@ -26,10 +26,10 @@ shared! {
     }
 }
 
-/// A distance beyond all others.
+/// A distance that is larger than all others.
 const FAR: f32 = 3.0e38;
 
-/// The map from the world to the unit cube, and rays through it.
+/// Shader source: the map from the world to the unit cube, and rays through the cube.
 pub const SPACE: Source = Parts(&[
     RAY,
     Source::of::<GpuSpace>(),

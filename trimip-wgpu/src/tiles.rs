@@ -1,10 +1,10 @@
-//! Cuts an image, or the cells of a grid, into tiles whose samples fit into their arrays.
+//! Divides an image, or the cells of a grid, into tiles whose samples fit into the arrays of samples.
 
 use std::ops::Range;
 
-/// The tiles of a map. A tile has only as many rays that their samples fit into the arrays.
+/// The tiles of an image or a grid. A tile has few enough rays that their samples fit into the arrays.
 pub struct Tiles {
-    /// Number of samples that a tile has room for.
+    /// Number of samples that fit into a tile.
     capacity: usize,
     chunk: u32,
     start: u32,
@@ -12,18 +12,19 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// Tiles over `count` rays, initially of `chunk` rays, with room for `capacity` samples each.
+    /// Divides `count` rays into tiles, initially of `chunk` rays each. A tile has room for `capacity` samples.
     pub fn new(count: u32, chunk: u32, capacity: usize) -> Self {
         Self { capacity, chunk, start: 0, count }
     }
 
-    /// The next tile. After a tile that did not fit, it starts at the same ray and is smaller.
+    /// Returns the next tile. After a tile that did not fit, the next tile starts at the same ray and is smaller.
     pub fn next(&mut self) -> Option<Range<u32>> {
         (self.start < self.count)
             .then(|| self.start..self.start + self.chunk.clamp(1, self.count - self.start))
     }
 
-    /// Returns true if the samples of a tile fitted. `counts` are those of a tile whose rays were marched.
+    /// Returns true if the samples of a tile fit. `counts` are the tile's counts of samples; `None` if its rays were
+    /// not marched.
     pub fn fits(&mut self, tile: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
         let length = tile.end - tile.start;
         if let Some(counts) = counts {
@@ -33,7 +34,8 @@ impl Tiles {
                 return false;
             }
             let mean = (marched as usize / length as usize).max(1);
-            // The next rows of a view may have more samples than the last ones.
+            // Half of the capacity is left free, because the next rows of a view may have more samples than the last
+            // rows.
             self.chunk = (self.capacity / mean / 2).min(1 << 20) as u32;
         }
         self.start = tile.end;

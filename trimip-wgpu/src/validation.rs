@@ -1,4 +1,4 @@
-//! All kernels, in every variant that a configuration can select, as naga sees them: they are valid, fit every device, use
+//! Checks with naga that all kernels, in every variant that a configuration can select, are valid, fit every device, use
 //! the bindings that they list, and share their structs with Rust.
 
 use crate::gpu::{Access, Kernel, Layout};
@@ -10,7 +10,7 @@ use crate::{
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Handle, Module, Scalar, ScalarKind, StorageAccess, Type, TypeInner};
 
-/// Every kernel in every variant, or a similar variant.
+/// Returns every kernel in every variant, or in a similar variant.
 fn all() -> Vec<Kernel> {
     let stages = [
         gpu::all(),
@@ -34,7 +34,8 @@ fn parse(kernel: &Kernel) -> Module {
         .unwrap_or_else(|error| panic!("{}: {}", kernel.name(), error.emit_to_string(&kernel.source())))
 }
 
-/// Capabilities beyond the default are allowed only to kernels that run on adapters with them.
+/// Validates a kernel. Capabilities beyond the default are allowed only to kernels that run only on adapters with these
+/// capabilities.
 fn validate(kernel: &Kernel, module: &Module) -> ModuleInfo {
     let capabilities = if kernel.has(Addition::Atomic.source()) {
         Capabilities::SHADER_FLOAT32_ATOMIC
@@ -58,7 +59,7 @@ fn every_variant_is_valid_and_fits_everywhere() {
         let place = place.unwrap_or_else(|| panic!("{name}: no such entry point"));
         assert!(module.entry_points[place].workgroup_size[0] <= 256, "{name}");
 
-        // The listed bindings are those that the entry point uses, with their declared access.
+        // Checks that the listed bindings are those that the entry point uses, with their declared access.
         let used = info.get_entry_point(place);
         let mut found: Vec<(u32, Access)> = Vec::new();
         let (mut storage, mut workgroup) = (0, 0);
@@ -91,7 +92,7 @@ fn every_variant_is_valid_and_fits_everywhere() {
     }
 }
 
-/// A type as WGSL writes it, with arrays of four floats or words as vectors.
+/// Returns the name of a type as WGSL writes it.
 fn text(module: &Module, handle: Handle<Type>) -> String {
     let scalar = |scalar: Scalar| match scalar {
         Scalar { kind: ScalarKind::Float, width: 4 } => "f32",
@@ -144,7 +145,8 @@ fn compare(kernel: &Kernel, module: &Module, layout: &Layout) {
 /// Structs in arrays that only the device reads and writes.
 const ON_DEVICE: [&str; 1] = ["Gaussian"];
 
-/// Rust and WGSL agree on names, types and offsets of all members of every struct that they share, and on its size.
+/// Checks that Rust and WGSL agree on the names, types and offsets of all members of every struct that they share, and
+/// on the struct's size.
 #[test]
 fn shared_structs_have_one_layout() {
     let mut compared = std::collections::BTreeSet::new();
@@ -154,7 +156,8 @@ fn shared_structs_have_one_layout() {
             compare(&kernel, &module, layout);
             compared.insert(layout.text());
         }
-        // Parameters and elements of arrays that the host writes are shared: none of them is defined only in WGSL.
+        // Structs of parameters, and of elements of arrays that the host writes, must be shared: none of them may be
+        // defined only in WGSL.
         for (_, variable) in module.global_variables.iter() {
             let shared = match (&variable.space, &module.types[variable.ty].inner) {
                 (AddressSpace::Uniform, TypeInner::Struct { .. }) => Some(variable.ty),
@@ -172,7 +175,7 @@ fn shared_structs_have_one_layout() {
     assert!(compared.len() >= 29, "{} structs are shared", compared.len());
 }
 
-/// Two members that are swapped in WGSL are detected.
+/// Checks that two members that are swapped in WGSL are detected.
 #[test]
 #[should_panic(expected = "size []: Params")]
 fn swapped_members_are_found() {

@@ -16,9 +16,10 @@ pub struct WgpuBackend {
     pub(crate) addition: Addition,
     pub(crate) workspaces: Mutex<Vec<Workspace<Self>>>,
     pub(crate) counters: Arc<DeviceCounters>,
-    /// Counters of the model in training, read together with a step's sums: the occupancy grid's and the field's.
+    /// Counters of the occupancy grid and of the field of the model in training. They are read together with a step's
+    /// sums.
     pub(crate) watched: Mutex<Option<[wgpu::Buffer; 2]>>,
-    /// Number of samples that the arrays of a tile have the capacity for.
+    /// Number of samples that fit into the arrays of a tile.
     pub(crate) capacity: Mutex<usize>,
 }
 
@@ -35,13 +36,13 @@ pub struct DeviceCounters {
 pub struct Stream {
     gpu: Arc<Gpu>,
     gather: Pipeline,
-    /// A number of rows that the host has determined.
+    /// Counter for a number of rows that the host has determined.
     pub(crate) count: Buffer<u32>,
     pub(crate) bits: Buffer<u32>,
     pub(crate) blocks: Buffer<u32>,
     pub(crate) old_segments: Buffer<Segment>,
     pub(crate) marks: Buffer<u32>,
-    /// For hybrid rendering: 1 for each ray that the proxy is sure of.
+    /// For hybrid rendering: 1 for each ray whose samples the proxy chooses, 0 for each ray that is too wide.
     pub(crate) sure: Buffer<u32>,
     pub(crate) sums: Buffer<f32>,
     /// Destination arrays for gathered rows, by row width in words and the capacity of the arrays that they are swapped with.
@@ -60,22 +61,22 @@ pub(crate) enum Capacity {
 }
 
 shared! {
-    /// Parameters of the kernel that keeps rows.
+    /// Parameters of the kernel that gathers rows.
     struct Gather as Params {
-        /// Words of a row.
+        /// Number of words of a row.
         width: u32,
         counter: u32,
     }
 }
 
-/// Gathers the rows `kept` of an array.
+/// Returns the kernel that gathers the rows `kept` of an array.
 pub fn gather() -> Kernel {
     let sources = [GRID, Source::of::<Gather>(), Source::Text(include_str!("shaders/gather.wgsl"))];
     Kernel::new("gather", &sources, &[(0, Read), (1, Write), (2, Parameters), (3, Read), (4, Read)])
 }
 
 impl Stream {
-    /// Scratch memory without contents.
+    /// Creates scratch memory without contents.
     pub(crate) fn new(gpu: &Arc<Gpu>) -> Self {
         let words = || Buffer::zeros(gpu, 0);
         Self {
@@ -93,13 +94,14 @@ impl Stream {
         }
     }
 
-    /// Keeps the rows `kept` of an array with a capacity for all marched samples, of `width` words each, and drops the others.
+    /// Keeps the rows `kept` of an array and drops all others. The array has a capacity for all marched samples, and its rows
+    /// have `width` words each.
     pub(crate) fn keep<T: Pod>(&mut self, kept: &Buffer<u32>, array: &mut Buffer<T>, width: usize) {
         self.keep_in(Capacity::Marched, kept, array, width);
     }
 
-    /// As [`keep`](Self::keep), for an array with this capacity. The array swaps its memory with a spare one. Each capacity has its own
-    /// spare arrays; with shared ones, every array would grow to the largest.
+    /// Keeps rows as [`keep`](Self::keep) does, for an array with the given capacity. The array swaps its memory with a spare array.
+    /// Each capacity has its own spare arrays; if they were shared, every array would grow to the size of the largest.
     pub(crate) fn keep_in<T: Pod>(
         &mut self,
         capacity: Capacity,
@@ -110,7 +112,7 @@ impl Stream {
         let spare = self.spares.entry((width, capacity)).or_insert_with(|| Buffer::zeros(&self.gpu, 0));
         let Some((counts, counter)) = kept.counter() else { return };
         let values = width * 4 / size_of::<T>();
-        // Exactly the same size: a larger array would grow with every swap.
+        // The spare array gets exactly the size of `array`. If it were larger, the arrays would grow with every swap.
         let words = array.capacity() * size_of::<T>() / 4;
         if spare.capacity() < words {
             *spare = Buffer::zeros(&self.gpu, words);
@@ -128,8 +130,9 @@ impl Stream {
 }
 
 impl WgpuBackend {
-    /// Opens the adapter whose name contains `adapter`, or the best one if `adapter` is empty. `deterministic` sums
-    /// texel gradients in fixed point, which gives the same bits in every run.
+    /// Opens the adapter whose name contains `adapter`, or the best adapter if `adapter` is empty. If `deterministic`
+    /// is true, the gradients of the encoder's parameters are summed in fixed point, which is bit-identical in every
+    /// run.
     ///
     /// # Errors
     /// When there is no such adapter, or it cannot open a device.
@@ -137,8 +140,8 @@ impl WgpuBackend {
         Ok(Self::of(Gpu::open(adapter)?, deterministic))
     }
 
-    /// As [`WgpuBackend::new`], on adapter `index`, modulo their number, among those as good as the best: one for each rank on
-    /// a machine.
+    /// Opens an adapter as [`WgpuBackend::new`] does, but selects the one at `index`, modulo their number, among equally good
+    /// adapters: one for each rank on a machine.
     ///
     /// # Errors
     /// As [`WgpuBackend::new`].
@@ -146,7 +149,7 @@ impl WgpuBackend {
         Ok(Self::of(Gpu::open_one_of(adapter, index)?, deterministic))
     }
 
-    /// As [`WgpuBackend::new`], without blocking, for a page in a browser.
+    /// Opens an adapter as [`WgpuBackend::new`] does, without blocking, for a page in a browser.
     ///
     /// # Errors
     /// As [`WgpuBackend::new`].
@@ -163,8 +166,8 @@ impl WgpuBackend {
         Self::with(gpu, addition)
     }
 
-    /// Opens an adapter as [`WgpuBackend::new`] does, but with the given way of adding texel gradients. Returns
-    /// `None` if the device does not support it.
+    /// Opens an adapter as [`WgpuBackend::new`] does, but with the given way of adding the gradients of the encoder's
+    /// parameters. Returns `None` if the device does not support this way.
     ///
     /// # Errors
     /// When there is no such adapter, or it cannot open a device.
@@ -174,7 +177,8 @@ impl WgpuBackend {
         Ok(can.then(|| Self::with(gpu, addition)))
     }
 
-    /// Another backend on the same device. The two share compiled kernels and [`counts`](Self::counts), and nothing else.
+    /// Creates another backend on the same device. The two share compiled kernels and [`counts`](Self::counts), and
+    /// nothing else.
     pub fn on_the_same_device(&self) -> Self {
         Self::with(Arc::clone(&self.gpu), self.addition)
     }
@@ -190,7 +194,7 @@ impl WgpuBackend {
         }
     }
 
-    /// Counts of transfers between host and device, and of the host's waits.
+    /// Returns the counts of transfers between host and device, and of the host's waits.
     pub fn counts(&self) -> Counts {
         self.gpu.counts()
     }
@@ -200,12 +204,12 @@ impl WgpuBackend {
         Ceilings::measure(&self.gpu)
     }
 
-    /// True if the device has the cooperative matrices that `field.precision = "f16"` needs.
+    /// Returns true if the device has the cooperative matrices that `field.precision = "f16"` needs.
     pub fn cooperates(&self) -> bool {
         self.gpu.matrices().is_some()
     }
 
-    /// The way in which texel gradients are added.
+    /// Returns the way in which the gradients of the encoder's parameters are added.
     pub fn addition(&self) -> Addition {
         self.addition
     }
@@ -216,19 +220,19 @@ impl WgpuBackend {
         move || gpu.destroy()
     }
 
-    /// Name and driver of the adapter.
+    /// Returns the name and driver of the adapter.
     pub fn adapter(&self) -> String {
         self.gpu.name()
     }
 }
 
-/// The way in which texel gradients are added.
+/// The way in which the gradients of the encoder's parameters are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Addition {
-    /// 64-bit fixed point: the same bits in every run.
+    /// 64-bit fixed point: bit-identical in every run.
     Fixed,
-    /// Atomic f32 additions, if the device has them: half the memory.
+    /// Atomic f32 additions, if the device has them: half the memory of fixed point.
     Atomic,
-    /// Compare-and-exchange of f32, which every device has: half the memory.
+    /// Compare-and-exchange of f32, which every device has: half the memory of fixed point.
     Exchange,
 }

@@ -1,5 +1,5 @@
-//! Shared parts of the encoders of planes: bands of rows, each summed by one worker, and the interval of columns that
-//! a step touches in a row.
+//! Code shared by the encoders that store planes: bands of rows, each of which one worker sums, and the interval of
+//! columns that a step touches in a row.
 
 use crate::wire::Reader;
 use std::ops::Range;
@@ -8,13 +8,13 @@ use trimip_core::{Result, engine::exchange::fault};
 /// Bands per plane.
 pub const BANDS: usize = 16;
 
-/// Band that owns a row of a plane with `rows` rows on this level.
+/// Returns the band that owns a row of a plane that has `rows` rows on this level.
 #[inline(always)]
 pub fn owner(row: usize, rows: usize) -> usize {
     row * BANDS / rows
 }
 
-/// First row of a band.
+/// Returns the first row of a band.
 pub fn first_row(band: usize, rows: usize) -> usize {
     (band * rows).div_ceil(BANDS)
 }
@@ -31,12 +31,12 @@ impl Extent {
     /// The empty interval.
     pub const EMPTY: Self = Self { start: u32::MAX, end: 0 };
 
-    /// The interval of all columns of a row.
+    /// Returns the interval of all columns of a row.
     pub fn whole(columns: usize) -> Self {
         Self { start: 0, end: columns as u32 }
     }
 
-    /// The interval that another rank sent of a row of `columns` columns.
+    /// Reads the interval that another rank sent for a row of `columns` columns.
     ///
     /// # Errors
     /// When the message is too short, or the interval ends beyond the row.
@@ -48,7 +48,7 @@ impl Extent {
         Ok(extent)
     }
 
-    /// True if the interval has no columns.
+    /// Returns true if the interval has no columns.
     pub fn is_empty(self) -> bool {
         self.start >= self.end
     }
@@ -60,22 +60,22 @@ impl Extent {
         self.end = self.end.max(last as u32 + 1);
     }
 
-    /// The smallest interval that contains both.
+    /// Returns the smallest interval that contains both intervals.
     pub fn union(self, other: Self) -> Self {
         Self { start: self.start.min(other.start), end: self.end.max(other.end) }
     }
 
-    /// The same texels on the next finer level.
+    /// Returns the interval on the next finer level that covers the same area.
     pub fn doubled(self) -> Self {
         if self.is_empty() { self } else { Self { start: 2 * self.start, end: 2 * self.end } }
     }
 
-    /// The texels on the next coarser level that cover these.
+    /// Returns the interval of texels on the next coarser level that cover this interval.
     pub fn halved(self) -> Self {
         if self.is_empty() { self } else { Self { start: self.start / 2, end: self.end.div_ceil(2) } }
     }
 
-    /// The smallest interval around this one whose ends are multiples of `unit`.
+    /// Returns the smallest interval around this one whose ends are multiples of `unit`.
     pub fn aligned(self, unit: u32) -> Self {
         if self.is_empty() {
             return self;
@@ -83,7 +83,7 @@ impl Extent {
         Self { start: self.start / unit * unit, end: self.end.next_multiple_of(unit) }
     }
 
-    /// The columns as a range.
+    /// Returns the columns as a range.
     pub fn texels(self) -> Range<usize> {
         if self.is_empty() { 0..0 } else { self.start as usize..self.end as usize }
     }

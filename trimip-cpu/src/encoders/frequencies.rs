@@ -6,7 +6,7 @@ use crate::wire::Reader;
 use trimip_core::field::encoders::frequencies;
 use trimip_core::{Aabb, Config, Result};
 
-/// The encoding.
+/// The configured positional encoding.
 pub(crate) struct Frequencies(frequencies::Encoding<f32>);
 
 impl Encoding for Frequencies {

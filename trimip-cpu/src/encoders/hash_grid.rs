@@ -1,5 +1,5 @@
-//! The hash grid on the CPU. Each level's gradient is summed by a single worker, which gives the same bits for any
-//! number of threads.
+//! The hash grid on the CPU. A single worker sums each level's gradient, so the sums are bit-identical for any number
+//! of threads.
 
 use super::{Encoding, GradientMemory, Places};
 use crate::buffer::{Buffer, take_mut};
@@ -12,7 +12,7 @@ use trimip_core::field::encoders::hash_grid::{Level, Levels, PRIMES, Points};
 use trimip_core::math::rounding::floor;
 use trimip_core::{Aabb, Config, Result};
 
-/// Levels of the grid and the instruction set.
+/// The grid's levels, with the instruction set that its kernels use.
 pub(crate) struct Grid {
     simd: Simd,
     levels: Levels,
@@ -21,21 +21,22 @@ pub(crate) struct Grid {
     points: Points<f32>,
 }
 
-/// A place in the unit cube, and the standard deviation around it in units of the box's longest side.
+/// A position (x, y, z) in the unit cube, then the standard deviation around it in units of the box's longest side.
 type Point = [f32; 4];
 
-/// Number of points whose corners are computed together: one vector register per quantity.
+/// Number of points whose corners are computed together: one vector register holds one quantity of a block.
 const BLOCK: usize = 16;
 
-/// The points of samples and the gradients of their features.
+/// Points at which samples read the grid, and the gradients of the samples' features.
 pub(crate) struct Gradient {
     places: Buffer<Point>,
-    /// By level: [samples, features].
+    /// Feature gradients of each level, [samples, features].
     rows: Vec<Buffer<f32>>,
 }
 
 impl Grid {
-    /// Returns the points of a tile's samples: the context, or the spheres if each sample is read only at its centre.
+    /// Returns the points of a tile's samples: the context, or the spheres themselves if each sample reads the grid
+    /// only at its centre.
     fn points<'a>(&self, at: Places<'a>, context: &'a [f32]) -> &'a [Point] {
         if self.points.is_plain() { bytemuck::cast_slice(at.spheres) } else { context.as_chunks().0 }
     }
@@ -112,7 +113,7 @@ impl Encoding for Grid {
         let tables = levels.iter().map(|level| take_mut(&mut rest, level.entries as usize * *features));
         let work: Vec<(usize, &mut [f32])> = tables.enumerate().collect();
         let from: &[&mut Gradient] = gradients;
-        // The finest levels first: their entries are scattered most.
+        // Starts the finest levels first, because their entries are scattered most.
         work.into_par_iter().rev().with_max_len(1).for_each(|(index, table)| {
             table.fill(0.0);
             let level = Level { first: 0, ..levels[index] };
@@ -159,7 +160,8 @@ struct Corners {
 }
 
 impl Corners {
-    /// As [`Level::corners`], for places [axis, point]; weights are multiplied by `level_weights`.
+    /// Computes [`Level::corners`] for a block of positions, [axis, point], and multiplies the weights by
+    /// `level_weights`.
     #[inline(always)]
     fn of(level: &Level, places: &[[f32; BLOCK]; 3], level_weights: &[f32; BLOCK]) -> Self {
         let (mut parts, mut fractions) = ([[[0; BLOCK]; 2]; 3], [[[0.0; BLOCK]; 2]; 3]);
@@ -197,8 +199,8 @@ impl Corners {
         all
     }
 
-    /// Prefetches the entries of the first `count` points. Narrow entries that are neighbours along the first axis mostly share
-    /// a cache line.
+    /// Prefetches the entries of the first `count` points. If entries are narrow, every second corner suffices, because
+    /// corners that are neighbours along the first axis mostly share a cache line.
     #[inline(always)]
     fn fetch<const F: usize>(&self, table: &[[f32; F]], count: usize) {
         for corner in (0..8).step_by(if F < 4 { 2 } else { 1 }) {
@@ -214,14 +216,14 @@ struct Block {
     /// [axis, point].
     places: [[f32; BLOCK]; 3],
     deviations: [f32; BLOCK],
-    /// The sample of each point.
+    /// Index of each point's sample.
     owners: [usize; BLOCK],
     count: usize,
 }
 
 impl Block {
-    /// Makes a block of at most [`BLOCK`] points. `first` is the index of its first point among all points; each sample has
-    /// `reads.count` points.
+    /// Creates a block of at most [`BLOCK`] points. `first` is the index of its first point among all points; each sample
+    /// has `reads.count` points.
     #[inline(always)]
     fn new(points: &[Point], first: usize, reads: &Points<f32>) -> Self {
         let mut block = Self {
@@ -238,7 +240,8 @@ impl Block {
         block
     }
 
-    /// The block of a gradient's points from `first` on, and its corners; `None` after the last point.
+    /// Returns the block of a gradient's points that begins with point `first`, and the block's corners; `None` after
+    /// the last point.
     #[inline(always)]
     fn of(gradient: &Gradient, first: usize, level: &Level, reads: &Points<f32>) -> Option<(Self, Corners)> {
         let points = gradient.places.get(first..).filter(|points| !points.is_empty())?;
@@ -255,7 +258,7 @@ impl Block {
                 [reads.level_weight(level, 0.0); BLOCK]
             }
             false => {
-                // One loop, which the compiler turns into vector instructions.
+                // A separate loop, which the compiler vectorises.
                 let mut weights = [0.0; BLOCK];
                 for i in 0..BLOCK {
                     weights[i] = reads.level_weight(level, self.deviations[i]);
@@ -290,7 +293,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
             let block = Block::new(points, index * BLOCK, reads);
             let mut corners = block.corners(&levels[0], reads);
             for level in 0..levels.len() {
-                // The entries of the next level are prefetched while those of this level are read.
+                // Prefetches the entries of the next level while the entries of this level are read.
                 let next = levels.get(level + 1).map(|next| block.corners(next, reads));
                 if let Some(next) = &next {
                     next.fetch(entries, block.count);
@@ -313,7 +316,7 @@ impl<const F: usize> Kernel for Read<'_, F> {
     }
 }
 
-/// Adds the gradients of one level, set by set and sample by sample.
+/// Adds up the gradients of one level, one set of partial gradients after the other, in the order of samples.
 struct Add<'a, const F: usize> {
     level: Level,
     points: &'a Points<f32>,

@@ -17,7 +17,7 @@ use trimip_core::{Config, Result};
 
 /// The interface of an encoder on the CPU.
 pub(crate) trait Encoding: Sized + Send + Sync {
-    /// Feature gradients of some tiles.
+    /// Feature gradients collected from several tiles.
     type Gradient: Send + Sync;
 
     /// Creates the configured encoder; `training` adds room for gradients.
@@ -33,11 +33,11 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     /// have changed.
     fn refresh(&mut self, _parameters: &[f32], _all: bool) {}
 
-    /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width stay zero. The
-    /// context has rows of the definition's length.
+    /// Encodes every sample. A row of features has `stride` floats; those beyond the encoder's width stay zero. A row
+    /// of the context has the length that the encoder's definition states.
     fn forward(&self, at: Places<'_>, context: &mut [f32], features: &mut [f32], stride: usize);
 
-    /// Adds the gradient of the features, in rows of `stride` floats, to the partial gradients.
+    /// Adds the gradients of a tile's features, which are rows of `stride` floats, to the partial gradients.
     fn backward(
         &self,
         at: Places<'_>,
@@ -47,28 +47,29 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         gradient: &mut Self::Gradient,
     );
 
-    /// Sums all partial gradients in order, overwrites the encoder's part of `parameter_gradient` and empties the partial gradients.
+    /// Sums all partial gradients in order, overwrites the encoder's part of `parameter_gradient` with the sums, and empties the
+    /// partial gradients.
     fn reduce(&mut self, gradients: &mut [&mut Self::Gradient], parameter_gradient: &mut [f32]);
 
-    /// Memory of the accumulated gradients.
+    /// Returns the memory that the accumulated gradients need.
     fn gradient_memory(config: &Config) -> GradientMemory;
 
-    /// Writes a set of partial gradients.
+    /// Appends a set of partial gradients to a message.
     fn put(&self, gradient: &Self::Gradient, out: &mut Vec<u8>);
 
-    /// Replaces a set of partial gradients by the set that another rank put.
+    /// Replaces a set of partial gradients with the set that another rank wrote with [`put`](Self::put).
     ///
     /// # Errors
     /// When the message is not a set of partial gradients of this encoder.
     fn take(&self, from: &mut Reader<'_>, gradient: &mut Self::Gradient) -> Result<()>;
 
-    /// Returns the interface of an encoder whose parameters can be divided among ranks. With `None`, every rank needs and sums all
+    /// Returns the encoder as [`Divided`] if its parameters can be divided among ranks. Otherwise every rank receives and sums all
     /// partial gradients.
     fn divided(&mut self) -> Option<&mut dyn Divided> {
         None
     }
 
-    /// Pieces of the first slot outside of which the last gradient is zero; `None` if unknown.
+    /// Returns pieces of the first slot, outside of which the last gradient is zero; `None` if such pieces are unknown.
     fn touched(&self) -> Option<Vec<Piece<'_>>> {
         None
     }
@@ -77,38 +78,39 @@ pub(crate) trait Encoding: Sized + Send + Sync {
 /// The interface of an encoder whose parameters are divided among ranks. Each rank sums the gradient of its part and updates
 /// it; then the ranks exchange the changed parameters.
 pub(crate) trait Divided {
-    /// Chooses this rank's part. With [`Rank::ONLY`] nothing is divided.
+    /// Chooses this rank's part. [`Rank::ONLY`] divides nothing.
     fn divide(&mut self, this_rank: Rank);
 
     /// Writes the sums that rank `to` needs. Called after [`Encoding::reduce`], which sums the leaves of this rank.
     fn put_sums(&mut self, gradient: &mut [f32], to: usize, out: &mut Vec<u8>);
 
-    /// Adds the sums that the other ranks put for this one; `from` is indexed by rank. The gradient of this rank's part then
-    /// includes the leaves of all ranks.
+    /// Adds the sums that the other ranks wrote for this rank; `from` is indexed by rank. The gradient of this rank's part
+    /// then includes the leaves of all ranks.
     ///
     /// # Errors
     /// When a message is not what [`put_sums`](Self::put_sums) writes for this rank.
     fn take_sums(&mut self, from: &[Vec<u8>], gradient: &mut [f32]) -> Result<()>;
 
-    /// Completes the gradient of this rank's part.
+    /// Completes the gradient of this rank's part: propagates the gradients of derived values to the parameters.
     fn complete(&mut self, gradient: &mut [f32]);
 
-    /// The touched pieces of this rank's part, see [`Encoding::touched`].
+    /// Returns the touched pieces of this rank's part, see [`Encoding::touched`].
     fn pieces(&self) -> Option<Vec<Piece<'_>>>;
 
-    /// After the update: writes the changed parameters of this rank's part.
+    /// Writes the changed parameters of this rank's part, after the update.
     fn put_changed(&self, parameters: &[f32], out: &mut Vec<u8>);
 
-    /// Reads the changed parameters that `rank` put.
+    /// Reads the changed parameters that `rank` wrote.
     ///
     /// # Errors
-    /// When the message is not what [`put_changed`](Self::put_changed) writes there.
+    /// When the message is not what [`put_changed`](Self::put_changed) writes on that rank.
     fn take_changed(&mut self, from: &mut Reader<'_>, rank: usize, parameters: &mut [f32]) -> Result<()>;
 
-    /// The parameters of the part of `rank`: ranges of the first slot.
+    /// Returns the parameters in the part of `rank`, as ranges of the first slot.
     fn part(&self, rank: usize) -> Vec<Range<usize>>;
 
-    /// Number of touched parameters of all ranks, valid once the changes of every rank are taken.
+    /// Returns the number of touched parameters of all ranks. Valid after [`take_changed`](Self::take_changed) has read
+    /// the changes of every rank.
     fn count_touched(&self) -> usize;
 }
 
@@ -123,7 +125,7 @@ pub(crate) struct GradientMemory {
 /// The parameters, and the geometry of a tile's samples.
 #[derive(Clone, Copy)]
 pub(crate) struct Places<'a> {
-    /// All parameters, flat; those of the encoder come first.
+    /// All parameters as a flat array, beginning with the encoder's.
     pub parameters: &'a [f32],
     /// Rays of the tile.
     pub rays: &'a [Ray],
@@ -135,12 +137,12 @@ pub(crate) struct Places<'a> {
     pub spheres: &'a [Sphere],
 }
 
-/// A part of a slot in rows of `row` floats; some floats of each row are touched.
+/// A part of a slot, divided into rows of `row` floats; a range of floats in each row is touched.
 pub(crate) struct Piece<'a> {
-    /// Number of floats.
+    /// Number of floats in the piece.
     pub length: usize,
-    /// Floats in a row.
+    /// Number of floats in a row.
     pub row: usize,
-    /// The range of touched floats in each row.
+    /// Returns the range of touched floats in a row.
     pub within: Box<dyn Fn(usize) -> Range<usize> + Sync + 'a>,
 }

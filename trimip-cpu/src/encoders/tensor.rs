@@ -1,6 +1,6 @@
-//! Factored tensors on the CPU, sixteen components at a time. Gradients of lines are summed at once, in arrays of each set of partial
-//! gradients. Gradients of planes are kept by sample: a sample is listed in each band of rows that it touches, and one worker sums a
-//! band in sample order.
+//! Factored tensors on the CPU; kernels process sixteen components at a time. Line gradients are summed immediately, into arrays of
+//! each set of partial gradients. Plane gradients are stored per sample: a sample is listed in each band of rows that it touches, and
+//! one worker sums a band in sample order.
 
 use super::bands::{BANDS, first_row, owner};
 use super::{Encoding, GradientMemory, Places};
@@ -15,10 +15,10 @@ use trimip_core::field::encoders::tensor::{
 };
 use trimip_core::{Config, Result};
 
-/// The shape of the factors and where they are in the parameters.
+/// The shape of the factors, and their ranges in the parameters.
 pub(crate) struct Factors {
     simd: Simd,
-    /// Shapes by stage of growth; `shape` is the one in use.
+    /// Shapes at all growth stages; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
     arrays: [Arrays; 2],
@@ -33,22 +33,23 @@ struct Arrays {
     lines: Range<usize>,
 }
 
-/// Gradients of some tiles.
+/// Gradients collected from several tiles.
 pub(crate) struct Gradient {
     places: Buffer<[f32; 3]>,
-    /// Gradient of each plane's value at each sample, [samples, width].
+    /// Gradient with respect to each plane's value at each sample, [samples, width].
     rows: Buffer<f32>,
-    /// Samples that touch each band of each plane, in order.
+    /// For each band of each plane: the samples that touch it, in order.
     bands: Vec<Vec<u32>>,
     /// Gradients of the lines of both tensors.
     lines: [Buffer<f32>; 2],
 }
 
-/// A place along an axis: the point before it and the weight of the point after it.
+/// A position along an axis: index of the grid point before it, and the interpolation weight of the grid point after
+/// it.
 type Along = (usize, f32);
 
 impl Factors {
-    /// Place of a sample along each axis.
+    /// Returns a sample's position along each axis.
     #[inline(always)]
     fn along(shape: &Shape, position: [f32; 3]) -> [Along; 3] {
         std::array::from_fn(|axis| between(shape.sides[axis], position[axis]))
@@ -188,7 +189,8 @@ impl Encoding for Factors {
     }
 }
 
-/// The corners of the cell of a plane that a sample lies in: index of the first one, and the four weights.
+/// Returns the corners of the plane's cell that contains a sample: the index of the first corner, and the weights of
+/// all four.
 #[inline(always)]
 fn corners(shape: &Shape, plane: usize, along: &[Along; 3]) -> (usize, [[f32; 2]; 2]) {
     let [columns, _] = shape.plane(plane);
@@ -197,7 +199,7 @@ fn corners(shape: &Shape, plane: usize, along: &[Along; 3]) -> (usize, [[f32; 2]
     (shape.plane_start(plane) + row * columns + column, weights)
 }
 
-/// Sixteen components of a plane at a sample.
+/// Returns sixteen components of a plane, interpolated at a sample.
 #[inline(always)]
 fn plane_value<L: Lanes>(
     values: &[f32],
@@ -216,7 +218,7 @@ fn plane_value<L: Lanes>(
     sum
 }
 
-/// Sixteen components of a line at a sample.
+/// Returns sixteen components of a line, interpolated at a sample.
 #[inline(always)]
 fn line_value<L: Lanes>(
     values: &[f32],
@@ -279,7 +281,7 @@ impl Kernel for Read<'_> {
     }
 }
 
-/// Fetches the texels of a sample into the cache.
+/// Prefetches the texels of a sample.
 #[inline(always)]
 fn prefetch(shape: &Shape, arrays: &[Arrays; 2], parameters: &[f32], position: [f32; 3]) {
     let along = Factors::along(shape, position);
@@ -296,7 +298,7 @@ fn prefetch(shape: &Shape, arrays: &[Arrays; 2], parameters: &[f32], position: [
     }
 }
 
-/// Adds gradients of lines to a set of partial gradients, and stores those of planes by sample.
+/// Adds line gradients to a set of partial gradients, and stores plane gradients per sample.
 struct Pull<'a> {
     shape: &'a Shape,
     arrays: &'a [Arrays; 2],
@@ -373,11 +375,11 @@ struct Band<'a> {
     values: &'a mut [f32],
 }
 
-/// Sums the gradients of a band, set by set and sample by sample.
+/// Sums the gradients of a band, one set of partial gradients after the other, in the order of samples.
 struct Add<'a> {
     shape: &'a Shape,
     from: &'a [&'a mut Gradient],
-    /// Floats in a row of gradients.
+    /// Number of floats in a row of gradients.
     width: usize,
     band: Band<'a>,
 }

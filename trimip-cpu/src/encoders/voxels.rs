@@ -1,5 +1,5 @@
-//! A grid of densities and spherical harmonics on the CPU. Gradients are kept by sample: a sample is listed in each band of
-//! layers (z) that it touches, and one worker sums a band in sample order.
+//! A grid of densities and spherical harmonics on the CPU. Gradients are stored per sample: a sample is listed in each band
+//! of layers (z) that it touches, and one worker sums a band in sample order.
 
 use super::bands::{BANDS, first_row, owner};
 use super::{Encoding, GradientMemory, Places};
@@ -13,20 +13,20 @@ use trimip_core::field::encoders::voxels::{Shape, WIDTH, slots};
 use trimip_core::math::sh::{COUNT, spherical_harmonics};
 use trimip_core::{Config, Result};
 
-/// Most floats of a grid point's colours.
+/// Maximum number of floats for a grid point's colours.
 const MOST: usize = 3 * COUNT;
 
-/// The grid, and where its values are in the parameters.
+/// The grid's shape, and the ranges of its values in the parameters.
 pub(crate) struct Grid {
     simd: Simd,
-    /// Shapes by stage of growth; `shape` is the one in use.
+    /// Shapes at all growth stages; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
     density: Range<usize>,
     colors: Range<usize>,
 }
 
-/// The place of a sample in the grid and the gradient of its features.
+/// Position and direction with which a sample reads the grid, and the gradient of the sample's features.
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct Touch {
@@ -35,10 +35,10 @@ pub(crate) struct Touch {
     by_feature: [f32; WIDTH],
 }
 
-/// Gradients of some tiles.
+/// Gradients collected from several tiles.
 pub(crate) struct Gradient {
     touches: Buffer<Touch>,
-    /// Samples that touch each band, in order.
+    /// For each band: the samples that touch it, in order.
     bands: Vec<Vec<u32>>,
 }
 
@@ -120,7 +120,7 @@ impl Encoding for Grid {
     }
 
     fn gradient_memory(_: &Config) -> GradientMemory {
-        // Most samples are listed in one band, those between two bands in both.
+        // Most samples are listed in one band; a sample between two bands is listed in both.
         GradientMemory { by_sample: size_of::<Touch>() + 2 * size_of::<u32>(), by_partial: 0 }
     }
 }
@@ -163,12 +163,12 @@ impl Kernel for Read<'_> {
     }
 }
 
-/// Adds the gradients of a band, set by set and sample by sample.
+/// Sums the gradients of a band, one set of partial gradients after the other, in the order of samples.
 struct Add<'a> {
     shape: &'a Shape,
     from: &'a [&'a mut Gradient],
     band: usize,
-    /// The band's first grid point.
+    /// Index of the band's first grid point.
     first: usize,
     density: &'a mut [f32],
     colors: &'a mut [f32],

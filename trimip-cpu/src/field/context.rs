@@ -1,5 +1,5 @@
-//! The field's context of a tile, kept from the forward to the backward pass: activations, the samples that have a colour, and
-//! the views of rays.
+//! The field's context of a tile, kept from the forward to the backward pass: activations, the list of samples that have a
+//! colour, and the encoded view directions of rays.
 
 use crate::CpuBackend;
 use crate::buffer::Buffer;
@@ -11,7 +11,7 @@ use trimip_core::field::networks::append_frequencies;
 use trimip_core::math::compositing::is_lit;
 use trimip_core::math::sh::spherical_harmonics;
 
-/// Activations of a tile.
+/// Activations and gradients of a tile.
 pub struct Context {
     pub(super) density: Activations,
     pub(super) color: Activations,
@@ -27,12 +27,12 @@ pub struct Context {
 }
 
 impl Context {
-    /// Keeps the rows `drawn` of both networks' activations, and drops the others.
+    /// Keeps the activations of the samples `drawn` in both networks, and drops all others.
     pub(super) fn keep_drawn(&mut self, drawn: &[u32], [density, color]: [&Mlp; 2], shape: usize) {
         let Self { lit, directions, shape: shapes, .. } = self;
         self.density.keep(density, drawn);
-        // `colors` lists the drawn samples by their index among those with a colour, `rows` by their index among the
-        // drawn ones.
+        // For each drawn sample that has a colour, `colors` holds its index among all samples with a colour, and `rows`
+        // holds its index among the drawn samples.
         let mut colors = std::mem::take(&mut lit.kept);
         colors.clear();
         if lit.listed {
@@ -62,22 +62,22 @@ impl Context {
     }
 }
 
-/// The samples whose colour is computed, if the others are too faint.
+/// The list of samples whose colour is computed. Samples that are too faint have no colour.
 #[derive(Default)]
 pub struct Lit {
-    /// True if `rows` lists them; all samples have a colour otherwise.
+    /// True if `rows` lists the samples that have a colour; otherwise all samples have one.
     pub(super) listed: bool,
     pub(super) rows: Vec<u32>,
-    /// The density network's outputs of these samples, padded, and their gradient.
+    /// The density network's outputs for the listed samples, with padded rows, and the gradient of these outputs.
     pub(super) outputs: Buffer<f32>,
     pub(super) gradient: Buffer<f32>,
-    /// Scratch memory of the draw of samples.
+    /// Scratch memory of [`Context::keep_drawn`].
     kept: Vec<u32>,
     next: Vec<u32>,
 }
 
 impl Lit {
-    /// Lists the samples whose compositing weight is at least `least`. With `least` = 0, all samples have a colour.
+    /// Lists the samples whose compositing weight is at least `least`. If `least` is 0, all samples have a colour.
     pub fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
         self.listed = least > 0.0;
         self.rows.clear();
@@ -95,30 +95,30 @@ impl Lit {
         }
     }
 
-    /// Number of samples with a colour, of `all` samples.
+    /// Returns the number of samples with a colour; `all` is the number of all samples.
     pub fn count(&self, all: usize) -> usize {
         if self.listed { self.rows.len() } else { all }
     }
 
-    /// The row of sample `i` of those with a colour.
+    /// Returns the row of the `i`th sample that has a colour.
     pub fn row(&self, i: usize) -> usize {
         if self.listed { self.rows[i] as usize } else { i }
     }
 
-    /// The density network's outputs of these samples.
+    /// Returns the density network's outputs for the samples that have a colour.
     pub fn of<'a>(&'a self, density: &'a Activations) -> &'a Buffer<f32> {
         if self.listed { &self.outputs } else { density.output() }
     }
 }
 
-/// The views of the rays that have samples.
+/// The encoded view directions of the rays that have samples.
 #[derive(Default)]
 pub struct Directions {
     /// Number of rays with samples.
     pub(super) count: usize,
-    /// Shape: [rays with samples (padded), width].
+    /// Encoded directions, [rays with samples (padded), width].
     pub(super) views: Buffer<f32>,
-    /// Row of `views` for each sample, padding included.
+    /// For each sample, padding included: the row of `views` that holds the direction of its ray.
     pub(super) of: Vec<u32>,
 }
 
@@ -156,7 +156,7 @@ impl Directions {
         self.of.resize(padded(self.of.len()), 0);
     }
 
-    /// Keeps the rows `kept` of `of`, and drops the others.
+    /// Keeps the entries of `of` for the samples `kept`, and drops all others.
     fn keep(&mut self, kept: &[u32]) {
         if self.of.is_empty() {
             return;

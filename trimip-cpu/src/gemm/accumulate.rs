@@ -7,10 +7,10 @@ use super::words::add_product;
 use crate::simd::{Kernel, Lanes};
 use trimip_core::config::Precision;
 
-/// Rows per pass of a weight gradient, so that its two panels stay in L1.
+/// Number of rows per pass of a weight gradient: few enough that the panels of A and D stay in L1.
 const GRADIENT_ROWS: usize = 64;
 
-/// G += Aᵀ·D over exactly `product.rows` rows of words.
+/// Computes G += Aᵀ·D over exactly `product.rows` rows of words.
 pub fn accumulate(product: Product, a: &[f32], d: &[f32], g: &mut [f32]) {
     let Product { simd, precision, rows, k, n } = product;
     assert!(a.len() >= rows * k && d.len() >= rows * n && g.len() >= k * n, "whole matrices");
@@ -86,7 +86,7 @@ struct AccumulateTile {
 }
 
 impl AccumulateTile {
-    /// Accumulates `MR` rows of G from `row` on, and `NV`·16 columns from `column` on.
+    /// Adds to a block of G: `MR` rows, beginning with `row`, and `NV`·16 columns, beginning with `column`.
     ///
     /// # Safety
     /// `a` and `d` hold `count` rows of k and n values; `g` holds these rows and columns.

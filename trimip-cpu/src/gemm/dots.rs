@@ -2,8 +2,8 @@
 
 use crate::simd::{Kernel, Lanes, Simd};
 
-/// C[row, j] = Σ_p A[row, p]·W[j, p] for `rows` rows of k values and the few rows of W, [outputs, k]. C has `width` columns;
-/// those beyond `outputs` are zero.
+/// Computes C[row, j] = Σ_p A[row, p]·W[j, p] for `rows` rows of k values and the few rows of W, [outputs, k]. C has `width`
+/// columns; columns beyond `outputs` become zero.
 pub fn dots(simd: Simd, rows: usize, [k, width]: [usize; 2], a: &[f32], w: &[f32], c: &mut [f32]) {
     assert!(k.is_multiple_of(16) && w.len().is_multiple_of(k) && w.len() / k <= width, "padded widths");
     assert!(a.len() >= rows * k && c.len() >= rows * width, "whole matrices");

@@ -2,8 +2,9 @@
 //! is padded to a multiple of [`ROWS`]. Weights are packed in column panels of 32 (the last may have 16), so that a panel is read
 //! sequentially. Notation: C[m, n] = A[m, k]·W[k, n]; G[k, n] += Aᵀ·D.
 //!
-//! At [`Precision::Bf16`](trimip_core::config::Precision::Bf16) the factors are words of two bf16 values that are neighbours along the summed dimension,
-//! packed by [`pair_columns`] and [`pair_rows`]. Sums stay in f32. The kernels are the same, over half as many words.
+//! At [`Precision::Bf16`](trimip_core::config::Precision::Bf16) the factors consist of words of two bf16 values that are neighbours along
+//! the summed dimension; [`pair_columns`] and [`pair_rows`] pack them. Sums stay in f32. The kernels are those of f32, and process half as
+//! many words.
 
 mod accumulate;
 mod dots;

@@ -8,7 +8,7 @@ use super::words::{ROWS, add_product, padded};
 use crate::simd::{Kernel, Lanes, Simd};
 use trimip_core::config::Precision;
 
-/// C = finish(start + A·W) for `rows` rows, padding included. A has the precision of W.
+/// Computes C = finish(start + A·W) for `rows` rows and their padding. A has the precision of W.
 pub fn multiply(simd: Simd, rows: usize, a: &[f32], w: &Packed, c: &mut [f32], epilogue: Epilogue<'_>) {
     let (rows, Epilogue { start, finish }) = (padded(rows), epilogue);
     assert!(a.len() >= rows * w.words() && c.len() >= rows * w.n(), "padded activations");
@@ -90,16 +90,16 @@ struct MultiplyTile {
     n: usize,
     mask: *const f32,
     relu: bool,
-    /// The rows of n values to start from, and the index for each row.
+    /// Initial values: rows of n values, and for each row of C the index of its initial values.
     start: Option<(*const f32, *const u32)>,
 }
 
 impl MultiplyTile {
-    /// Computes `MR` rows and `NV`·16 columns, from column `first` of the panel on.
+    /// Computes `MR` rows and `NV`·16 columns, beginning with column `first` of the panel.
     ///
     /// # Safety
-    /// `a` holds MR rows of k words, `w` k rows of `width`, `c` (and `mask` unless null) MR rows of n; `start` has MR
-    /// indices.
+    /// `a` holds MR rows of k words, `w` holds k rows of `width` words, and `c` (and `mask` unless null) holds MR rows
+    /// of n values; `start` has MR indices.
     #[inline(always)]
     unsafe fn run<L: Lanes, const PAIRS: bool, const MR: usize, const NV: usize>(&self, first: usize) {
         let mut sums = [[L::splat(0.0); NV]; MR];

@@ -20,11 +20,12 @@ pub enum Start<'a> {
 /// Operation on a product before it is stored.
 #[derive(Clone, Copy)]
 pub enum Finish<'a> {
-    /// None.
+    /// No operation.
     Store,
     /// ReLU: values below zero become zero.
     Relu,
-    /// Derivative of a ReLU: zero where this matrix of the same shape is not above zero.
+    /// Derivative of a ReLU: values become zero where this matrix, which has the shape of the product, is not above
+    /// zero.
     Mask(&'a [f32]),
 }
 

@@ -36,29 +36,29 @@ impl Packed {
         }
     }
 
-    /// Number of rows of words, over which a product sums.
+    /// Returns the number of rows of words, over which a product sums.
     #[inline(always)]
     pub(super) fn words(&self) -> usize {
         words(self.k, self.precision)
     }
 
-    /// The words from the panel that begins at column `first` on.
+    /// Returns the words of the panel that begins at column `first`, and of all later panels.
     #[inline(always)]
     pub(super) fn panel(&self, first: usize) -> &[f32] {
         &self.data[first * self.words()..]
     }
 
-    /// Number of rows (inputs).
+    /// Returns the number of rows (inputs).
     pub fn k(&self) -> usize {
         self.k
     }
 
-    /// Number of columns (outputs).
+    /// Returns the number of columns (outputs).
     pub fn n(&self) -> usize {
         self.n
     }
 
-    /// Precision in which the matrix is stored. The left factor of a product must have the same.
+    /// Returns the precision in which the matrix is stored. The left factor of a product must have the same precision.
     pub fn precision(&self) -> Precision {
         self.precision
     }

@@ -14,8 +14,8 @@ fn matrix(rows: usize, columns: usize, seed: f32) -> Buffer<f32> {
 }
 
 fn close(found: f32, expected: f64, terms: usize) {
-    // A sum of `terms` products of magnitude up to 1: each partial sum rounds to half an ulp of at most |expected| +
-    // terms.
+    // The products have magnitudes up to 1. Each of the `terms` additions rounds a partial sum of about |expected| +
+    // √terms, and the rounding errors add up like √terms.
     let tolerance = 6e-8 * (expected.abs() + (terms as f64).sqrt()) * (terms as f64).sqrt() + 1e-7;
     assert!((f64::from(found) - expected).abs() < tolerance, "{found} {expected}");
 }

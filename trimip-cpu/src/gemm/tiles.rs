@@ -1,5 +1,6 @@
-//! The products of bf16 pairs on matrix tiles: [`multiply`](super::multiply) and [`accumulate`](super::accumulate) of
-//! processors with AMX. Tiles 0 to 3 are sums of neighbouring columns, the others are factors.
+//! Products of bf16 pairs in the tile registers of AMX: [`multiply`](super::multiply) and
+//! [`accumulate`](super::accumulate) on processors that have them. Tiles 0 to 3 hold sums, for neighbouring columns;
+//! the other tiles hold factors.
 
 use super::operands::{Finish, Product, Start};
 use super::packed::Packed;
@@ -109,7 +110,8 @@ impl Multiply<'_> {
             w[j] = self.w.panel(panel)[first - panel..].as_ptr();
             strides[j] = (n - panel).min(32) * WORD;
         }
-        // SAFETY: as the caller guarantees; a tile of `rest` words or rows is read at the end of the summed dimension.
+        // SAFETY: the caller guarantees the shapes. At the end of the summed dimension, tiles of only `rest` words or
+        // rows are read.
         unsafe {
             tile!(zero 0);
             if N > 1 {
@@ -189,7 +191,7 @@ impl Kernel for Accumulate<'_> {
     fn run<L: Lanes>(mut self) {
         let Product { rows, k, n, .. } = self.product;
         let shapes = Shapes::new([[SIDE, SIDE]; 8]);
-        // SAFETY: `accumulate` checked that AMX is available and the matrices.
+        // SAFETY: `accumulate` checked the matrices, and that AMX is available.
         unsafe {
             shapes.load();
             let whole = rows / SIDE * SIDE;
@@ -198,7 +200,7 @@ impl Kernel for Accumulate<'_> {
                 self.section(count, self.a[first * k..].as_ptr(), self.d[first * n..].as_ptr());
             }
             if whole < rows {
-                // The last rows, padded with zeros.
+                // Adds the last rows, padded with zeros.
                 let filled = |from: &[f32], width: usize| {
                     let mut last = from[whole * width..rows * width].to_vec();
                     last.resize(SIDE * width, 0.0);
@@ -245,7 +247,7 @@ impl Accumulate<'_> {
 /// Adds the products of tiles of A with rows of D to 16 rows and `N`·16 columns of G.
 ///
 /// # Safety
-/// `d` holds 16 rows of `n` words for each tile, `g` 16 rows of `n` values; the tiles have their shapes.
+/// `d` holds 16 rows of `n` words for each tile, `g` holds 16 rows of `n` values; the tiles have their shapes.
 #[inline(always)]
 unsafe fn sum<const N: usize>(a: &[[f32; SIDE * SIDE]], d: *const f32, g: *mut f32, n: usize) {
     let stride = n * WORD;

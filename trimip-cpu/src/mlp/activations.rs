@@ -10,20 +10,20 @@ pub struct Activations {
     pub(super) layers: Vec<Buffer<f32>>,
     /// Contribution of the shared inputs to the first layer, [groups (padded), outputs of that layer].
     pub(super) shared: Buffer<f32>,
-    /// Contribution of the input to the layer that it joins again, for one block.
+    /// Contribution of the network's input to the layer with the skip connection, for one block.
     pub(super) joined: Buffer<f32>,
-    /// The rows of a block as pairs of columns.
+    /// The rows of a block, packed into bf16 pairs of neighbouring columns.
     pub(super) pairs: Buffer<f32>,
 }
 
 impl Activations {
-    /// The output, with padded width.
+    /// Returns the output, whose rows have a padded width.
     pub fn output(&self) -> &Buffer<f32> {
         &self.layers[self.layers.len() - 1]
     }
 
-    /// Replaces the output rows `kept` by weighted sums: row i times `fractions[i]`, minus each following row times its
-    /// fraction as long as that is negative.
+    /// Replaces each output row in `kept` with the weighted sum of its group. The group of row i continues with the
+    /// following rows whose fractions are negative; the weight of a row is the magnitude of its fraction.
     pub fn blend(&mut self, mlp: &Mlp, kept: &[u32], fractions: &[f32]) {
         let width = mlp.outputs();
         let Some(output) = self.layers.last_mut() else { return };
@@ -41,7 +41,7 @@ impl Activations {
         }
     }
 
-    /// Keeps the rows `kept` and drops the others.
+    /// Keeps the rows with the indices `kept` and drops all others.
     pub fn keep(&mut self, mlp: &Mlp, kept: &[u32]) {
         for (buffer, width) in self.layers.iter_mut().zip(mlp.widths()) {
             buffer.keep_rows(kept, width);
@@ -54,14 +54,14 @@ impl Activations {
         self.layers.iter_mut().for_each(Buffer::clear);
     }
 
-    /// Appends the rows `rows` of `from`.
+    /// Appends the rows of `from` with the indices `rows`.
     pub fn append(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
         for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
             buffer.append_rows(from, rows, width);
         }
     }
 
-    /// Replaces all rows by the rows `rows` of `from`.
+    /// Replaces all rows with the rows of `from` that have the indices `rows`.
     pub fn gather(&mut self, mlp: &Mlp, from: &Self, rows: &[u32]) {
         for ((buffer, from), width) in self.layers.iter_mut().zip(&from.layers).zip(mlp.widths()) {
             buffer.gather_rows(from, rows, width, padded(rows.len()));

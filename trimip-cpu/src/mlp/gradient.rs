@@ -6,7 +6,7 @@ use crate::wire::{Reader, put};
 use trimip_core::Result;
 use trimip_core::config::Precision;
 
-/// Weight gradients, padded as the packed weights are.
+/// Weight gradients, with the padding of the packed weights.
 pub struct MlpGradient {
     pub(super) layers: Vec<Buffer<f32>>,
     pub(super) shared: Buffer<f32>,
@@ -31,15 +31,15 @@ impl MlpGradient {
         }
     }
 
-    /// Writes all numbers.
+    /// Appends all gradients to a message.
     pub fn put(&self, out: &mut Vec<u8>) {
         self.buffers().for_each(|values| put(out, values));
     }
 
-    /// Replaces all numbers by those that were put.
+    /// Replaces all gradients with those that [`put`](Self::put) wrote.
     ///
     /// # Errors
-    /// When the message has fewer.
+    /// When the message is too short.
     pub fn take(&mut self, from: &mut Reader<'_>) -> Result<()> {
         self.buffers_mut().try_for_each(|values| from.copy(values))
     }
@@ -49,20 +49,20 @@ impl MlpGradient {
 pub struct Flow<'a> {
     /// Gradient of the network's output, with padded rows and width.
     pub output: &'a [f32],
-    /// Receives the gradient of the network's input, padded likewise.
+    /// Receives the gradient of the network's input, also with padded rows and width.
     pub input: &'a mut Buffer<f32>,
-    /// The gradient of the weights is added to this.
+    /// Weight gradient, to which the backward pass adds.
     pub weights: &'a mut MlpGradient,
 }
 
 /// A worker's buffers for a backward pass, used by one network at a time.
 #[derive(Default)]
 pub struct Passing {
-    /// The gradients above and below a layer, for one block.
+    /// Gradients of a layer's outputs and of its inputs, for one block.
     pub(super) scratch: [Buffer<f32>; 2],
     /// Gradients of the first layer's outputs, summed over each group.
     pub(super) sums: Buffer<f32>,
-    /// Gradient of the input from the layer that it joins again, for one block.
+    /// Gradient of the network's input through the skip connection, for one block.
     pub(super) joined: Buffer<f32>,
     pub(super) pairs: Pairs,
 }

@@ -1,4 +1,4 @@
-//! The padded weights of some inputs of a layer, packed for its products.
+//! Padded weights of some of a layer's inputs, packed for matrix products.
 
 use crate::buffer::Buffer;
 use crate::gemm::Packed;
@@ -7,19 +7,19 @@ use trimip_core::config::Precision;
 /// Maximum number of outputs for which a last layer is computed by dot products.
 pub(super) const FEW: usize = 4;
 
-/// Factor of a padded input of a layer.
+/// The weights of one padded input of a layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputRow {
-    /// Zero: padding.
+    /// Zeros: padding.
     Zero,
     /// A row of the weights.
     Weights(usize),
-    /// One for the first output, which then has no weights, and zero for the others.
+    /// One for the first output, which then has no trained weights, and zero for all other outputs.
     One,
 }
 
 impl InputRow {
-    /// The padded inputs `0..stride` for a network that has weights for the first `inputs` of them.
+    /// Returns one row for each padded input `0..stride`; the first `inputs` of them have weights.
     pub fn all(inputs: usize, stride: usize) -> Vec<Self> {
         (0..stride).map(|row| if row < inputs { Self::Weights(row) } else { Self::Zero }).collect()
     }
@@ -30,14 +30,14 @@ pub(super) struct Inputs {
     pub(super) forward: Forward,
     /// One per padded input.
     pub(super) rows: Vec<InputRow>,
-    /// Number of outputs before those with weights: 1 if the first output is a sum of inputs.
+    /// Index of the first output that has weights: 1 if output 0 is a plain sum of inputs.
     pub(super) offset: usize,
 }
 
 pub(super) enum Forward {
-    /// A product over column panels.
+    /// Weights in column panels, for a matrix product.
     Wide(Packed),
-    /// [outputs, inputs], for few outputs.
+    /// Weights [outputs, inputs], for dot products with few outputs.
     Few(Buffer<f32>),
 }
 
@@ -52,7 +52,7 @@ impl Inputs {
         Self { forward, rows, offset }
     }
 
-    /// The weight at a padded row and column; `weights` has rows of `outputs` − offset values.
+    /// Returns the weight at a padded row and column; `weights` has rows of `outputs` − offset values.
     pub(super) fn weight(&self, outputs: usize, weights: &[f32], row: usize, column: usize) -> f32 {
         let weighted = self.offset..outputs;
         match self.rows[row] {
@@ -78,7 +78,7 @@ impl Inputs {
         self.forward = forward;
     }
 
-    /// Adds a padded gradient to parameters [inputs, outputs − offset].
+    /// Adds a padded gradient to `parameters`, [inputs, outputs − offset], without the padding.
     pub(super) fn unpack(&self, outputs: usize, gradient: &[f32], parameters: &mut [f32]) {
         let weighted = self.offset..outputs;
         for (padded_row, row) in self.rows.iter().enumerate() {

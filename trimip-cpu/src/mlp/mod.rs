@@ -1,8 +1,9 @@
-//! A small ReLU network over rows of a tile, with or without biases. Widths are padded with zero weights to multiples of 16,
-//! and a last layer of up to four outputs to four; the parameters are not padded. For inputs that many rows share (all
-//! samples of a ray), the first layer may be computed once per group of rows. One later layer may read the input again. A
-//! network without layers copies its input. Activations and gradients are f32. At bf16 the factors of a layer's products are
-//! rounded immediately before the product, except in a last layer of few outputs.
+//! A small ReLU network over rows of a tile, with or without biases. Widths are padded with zero weights to multiples of 16;
+//! a last layer of up to four outputs is padded to four. The parameters are not padded. If many rows share some inputs (all
+//! samples of a ray), the first layer may compute the contribution of these inputs once per group of rows. One later layer
+//! may have a skip connection from the input. A network without layers copies its input. Activations and gradients are f32.
+//! At bf16 the factors of a layer's products are rounded immediately before the product, except in a last layer of few
+//! outputs.
 
 mod activations;
 mod gradient;
@@ -20,30 +21,32 @@ use inputs::{FEW, Forward, Inputs};
 use trimip_core::config::Precision;
 use trimip_core::field::networks::Network;
 
-/// Rows that go through all layers together. Their activations and a layer's weights fit into half of a 1 MiB L2.
+/// Number of rows that pass through all layers together. Their activations and a layer's weights fit into half of a 1
+/// MiB L2.
 pub const BLOCK: usize = 21 * ROWS;
 
 /// Weights of the network, packed for the forward and the backward pass.
 pub struct Mlp {
     layers: Vec<Layer>,
-    /// Padded width of the rows that are copied, for a network without layers.
+    /// Padded width of the rows that a network without layers copies.
     copied: usize,
     /// First-layer weights of the shared inputs, if there are any.
     shared: Option<Inputs>,
-    /// The layer that reads the network's input again.
+    /// Index of the layer with a skip connection from the network's input.
     joined: Option<usize>,
-    /// Row numbers of a block, and zeros: indices of the rows from which a layer's products start.
+    /// Indices of the rows that hold the initial values of a layer's products: `each` counts the rows of a block,
+    /// `first` holds zeros.
     each: Vec<u32>,
     first: Vec<u32>,
 }
 
 struct Layer {
     inputs: Inputs,
-    /// The transpose, [outputs, inputs], for the gradient of the inputs.
+    /// The transposed weights, [outputs, inputs], for the gradient of the inputs.
     backward: Packed,
     /// Padded biases; empty if the network has none.
     biases: Buffer<f32>,
-    /// If the network's input joins at this layer: the weights of that input, and their transpose.
+    /// For the layer with the skip connection: the weights of the network's input, and their transpose.
     joined: Option<(Inputs, Packed)>,
     /// Number of outputs without padding.
     outputs: usize,
@@ -54,26 +57,27 @@ struct Layer {
 pub struct Shared<'a> {
     /// Number of groups.
     pub groups: usize,
-    /// Shape: [groups (padded), inputs].
+    /// Shared inputs, [groups (padded), inputs].
     pub input: &'a [f32],
     /// Group of each row, padding included.
     pub of: &'a [u32],
 }
 
-/// The rows that go through a network.
+/// The rows that pass through a network.
 #[derive(Clone, Copy)]
 pub struct Batch<'a> {
     /// Instruction set.
     pub simd: Simd,
     /// Number of rows.
     pub rows: usize,
-    /// Shape: [rows (padded), inputs].
+    /// Inputs, [rows (padded), inputs].
     pub input: &'a [f32],
-    /// The inputs that groups of rows share, of a network that has such inputs.
+    /// Inputs that groups of rows share; `None` if the network has no such inputs.
     pub shared: Option<Shared<'a>>,
 }
 
-/// Rows of `w.k` values as the left factor of a product with `w`; packed into `pairs` if `w` is bf16.
+/// Returns rows of `w.k` values as the left factor of a product with `w`. If `w` is bf16, the rows are packed into
+/// `pairs`.
 fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a mut Buffer<f32>) -> &'a [f32] {
     match w.precision() {
         Precision::F32 | Precision::F16 => values,
@@ -87,17 +91,18 @@ fn left<'a>(simd: Simd, rows: usize, values: &'a [f32], w: &Packed, pairs: &'a m
 }
 
 impl Layer {
-    /// Number of padded inputs.
+    /// Returns the number of padded inputs.
     fn k(&self) -> usize {
         self.inputs.rows.len()
     }
 
-    /// Number of padded outputs, which are the rows of the transpose.
+    /// Returns the number of padded outputs, which is the number of rows of the transpose.
     fn n(&self) -> usize {
         self.backward.k()
     }
 
-    /// Initial values of the layer's products: its biases. `first` holds the row number 0 for each row.
+    /// Returns the initial values of the layer's products: the biases, for every row. `first` holds a zero for each
+    /// row.
     fn start<'a>(&'a self, first: &'a [u32]) -> Start<'a> {
         match self.biases.is_empty() {
             true => Start::Zero,
@@ -107,8 +112,8 @@ impl Layer {
 }
 
 impl Mlp {
-    /// The network `shape`. `input_rows` has the factor of each padded input of the first layer, `shared_rows` that of each
-    /// input that groups of rows share.
+    /// Creates the network `shape`. `input_rows` describes the weights of each padded input of the first layer,
+    /// `shared_rows` the weights of each input that groups of rows share.
     pub fn new(
         shape: &Network,
         input_rows: Vec<InputRow>,
@@ -146,7 +151,7 @@ impl Mlp {
         Self { layers, copied, shared, joined: shape.joined, each, first: vec![0; padded(BLOCK)] }
     }
 
-    /// Packs parameters: for each layer its weights, [inputs, outputs], and its biases if it has any.
+    /// Packs `parameters`, which hold for each layer its weights, [inputs, outputs], and its biases if it has any.
     pub fn pack(&mut self, parameters: &[&[f32]]) {
         if let Some(shared) = &mut self.shared {
             shared.fill(self.layers[0].outputs, parameters[0]);
@@ -168,23 +173,24 @@ impl Mlp {
         }
     }
 
-    /// Padded width of the input.
+    /// Returns the padded width of the input.
     pub fn inputs(&self) -> usize {
         self.layers.first().map_or(self.copied, Layer::k)
     }
 
-    /// Padded width of the output.
+    /// Returns the padded width of the output.
     pub fn outputs(&self) -> usize {
         self.layers.last().map_or(self.copied, Layer::n)
     }
 
-    /// Padded widths of the activations.
+    /// Returns the padded widths of the activations.
     fn widths(&self) -> impl Iterator<Item = usize> {
         let copied = self.layers.is_empty().then_some(self.copied);
         self.layers.iter().map(Layer::n).chain(copied)
     }
 
-    /// The layer that reads the network's input again, with the weights of that input and their transpose.
+    /// Returns the layer with the skip connection, its weights for the network's input, and the transpose of these
+    /// weights.
     fn joined(&self) -> Option<(&Layer, &Inputs, &Packed)> {
         let layer = &self.layers[self.joined?];
         layer.joined.as_ref().map(|(inputs, backward)| (layer, inputs, backward))
@@ -211,10 +217,11 @@ impl Mlp {
         }
     }
 
-    /// Runs rows through the network. Each block goes through all layers, so that its activations stay in L2.
+    /// Runs rows through the network. Each block of rows passes through all layers before the next block, so that its
+    /// activations stay in L2.
     ///
     /// # Panics
-    /// When shared inputs are given and the network has none, or the other way round.
+    /// When `batch` has shared inputs and the network has none, or the other way round.
     pub fn forward(&self, batch: Batch<'_>, activations: &mut Activations) {
         let Batch { simd, rows, input, shared } = batch;
         let Activations { layers: buffers, shared: group_rows, joined, pairs } = activations;
@@ -274,7 +281,7 @@ impl Mlp {
         }
     }
 
-    /// Computes the gradient of the input from that of the output; adds to the weight gradients.
+    /// Computes the gradient of the input from the gradient of the output, and adds to the weight gradients.
     pub fn backward(
         &self,
         batch: Batch<'_>,
@@ -329,7 +336,7 @@ impl Mlp {
                     if let Some(shared) = shared {
                         add_groups(sums, by_output, &shared.of[first..][..count], width);
                     }
-                    // There is no ReLU of this network before its input.
+                    // The input of the first layer does not come from a ReLU of this network, so it needs no mask.
                     let out = &mut input_gradient[first * k..];
                     let by_output = left(simd, count, by_output, &layer.backward, &mut pairs.columns);
                     let start = match self.joined {
@@ -356,12 +363,12 @@ impl Mlp {
         }
     }
 
-    /// Number of parameter slots: the weights of each layer, and the biases if there are any.
+    /// Returns the number of parameter slots: the weights of each layer, and the biases if there are any.
     pub fn slots(&self) -> usize {
         self.layers.iter().map(|layer| 1 + usize::from(!layer.biases.is_empty())).sum()
     }
 
-    /// Sums the gradients of slot `slot` over the partial gradients, in order, into its parameters, and sets the partial gradients to zero.
+    /// Sums the gradients of slot `slot` over the partial gradients, in order, into `parameters`, and sets the partial gradients to zero.
     pub fn reduce<'a>(
         &self,
         slot: usize,
@@ -393,7 +400,7 @@ impl Mlp {
     }
 }
 
-/// Adds all rows to `sums`, whose length is that of a row.
+/// Adds all rows to `sums`, which has the length of a row.
 fn add_rows(sums: &mut [f32], rows: &[f32]) {
     for row in rows.chunks_exact(sums.len()) {
         sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);

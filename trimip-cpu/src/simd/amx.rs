@@ -1,27 +1,28 @@
 //! Matrix tiles of AMX (Intel, *Architecture Instruction Set Extensions*, chapter 3): eight registers of up to 16 rows of 64
-//! bytes, and a product of two tiles of bf16 pairs that is added to a tile of f32. Rust has no stable intrinsics for them, so
-//! they are inline assembly.
+//! bytes, and an instruction that multiplies two tiles of bf16 pairs and adds the product to a tile of f32. Rust has no
+//! stable intrinsics for AMX, so this module uses inline assembly.
 //!
 //! Each thread has its own registers. Call [`Shapes::load`] before their first use and [`release`] after the last.
 
 use std::arch::x86_64::*;
 use std::sync::OnceLock;
 
-/// True if this processor has AMX with bf16 and the system lets this process use it. The first call asks the system.
+/// Returns true if this processor has AMX with bf16 and the system lets this process use it. The first call asks the
+/// system.
 pub fn is_available() -> bool {
     static AVAILABLE: OnceLock<bool> = OnceLock::new();
     *AVAILABLE.get_or_init(|| has_tiles() && is_permitted())
 }
 
-/// CPUID leaf 7: AMX-TILE and AMX-BF16.
+/// Returns true if CPUID leaf 7 reports AMX-TILE and AMX-BF16.
 fn has_tiles() -> bool {
     const TILE_AND_BF16: u32 = 1 << 24 | 1 << 22;
     // Leaf 0 reports the highest leaf.
     __cpuid(0).eax >= 7 && __cpuid_count(7, 0).edx & TILE_AND_BF16 == TILE_AND_BF16
 }
 
-/// Requests the registers from Linux, which a process has to do before their first use (`arch_prctl`, since Linux 5.16).
-/// Older kernels refuse the request.
+/// Requests permission from Linux to use the tile registers, as a process must do before their first use (`arch_prctl`,
+/// since Linux 5.16). Older kernels refuse the request.
 #[cfg(target_os = "linux")]
 fn is_permitted() -> bool {
     const ARCH_PRCTL: i64 = 158;
@@ -53,7 +54,8 @@ fn is_permitted() -> bool {
 pub struct Shapes([u8; 64]);
 
 impl Shapes {
-    /// The shapes of tiles 0 to 7: rows (1 to 16) and words of four bytes in a row (1 to 16).
+    /// Creates the shapes of tiles 0 to 7: for each, the number of rows (1 to 16) and of words of four bytes in a row
+    /// (1 to 16).
     pub fn new(tiles: [[usize; 2]; 8]) -> Self {
         let mut bytes = [0; 64];
         bytes[0] = 1;
@@ -118,7 +120,7 @@ macro_rules! tile {
 }
 pub(crate) use tile;
 
-/// Writes the transpose of 16 rows of 16 words, which are `stride` words apart.
+/// Writes the transpose of 16 rows of 16 words; the rows are `stride` words apart.
 ///
 /// # Safety
 /// The processor has AVX-512F, and `from` holds these words.
@@ -130,7 +132,8 @@ pub unsafe fn transpose(from: *const f32, stride: usize, to: &mut [f32; 256]) {
         for (row, r) in r.iter_mut().enumerate() {
             *r = _mm512_loadu_si512(from.add(row * stride).cast());
         }
-        // Pairs of rows, then groups of four: each 128-bit part of t[4 i + j] has four words of column j (and 4, 8, 12 more).
+        // Interleaves pairs of rows, then groups of four rows: the 128-bit part p of r[4 i + j] then holds column 4 p + j of
+        // rows 4 i to 4 i + 3.
         let mut t = r;
         for i in (0..16).step_by(2) {
             t[i] = _mm512_unpacklo_epi32(r[i], r[i + 1]);
@@ -142,7 +145,7 @@ pub unsafe fn transpose(from: *const f32, stride: usize, to: &mut [f32; 256]) {
             r[i + 2] = _mm512_unpacklo_epi64(t[i + 1], t[i + 3]);
             r[i + 3] = _mm512_unpackhi_epi64(t[i + 1], t[i + 3]);
         }
-        // Transposes blocks of 4×4 of the 128-bit parts.
+        // For each j, transposes the 4×4 matrix of the 128-bit parts of r[j], r[4 + j], r[8 + j] and r[12 + j].
         for j in 0..4 {
             let low = [0, 8].map(|i| _mm512_shuffle_i32x4::<0b10_00_10_00>(r[i + j], r[i + 4 + j]));
             let high = [0, 8].map(|i| _mm512_shuffle_i32x4::<0b11_01_11_01>(r[i + j], r[i + 4 + j]));

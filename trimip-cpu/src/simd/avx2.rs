@@ -12,7 +12,8 @@ pub unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
 #[derive(Clone, Copy)]
 pub struct Ymm2(__m256, __m256);
 
-// Unsafe below: this set is available, because `run` is the only entry and its caller checked the processor.
+// The unsafe blocks below rely on this: the instruction set is available, because `run` is the only entry point and its
+// caller has checked the processor.
 impl Lanes for Ymm2 {
     const WIDE: bool = false;
     #[inline(always)]

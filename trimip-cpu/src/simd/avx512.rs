@@ -17,8 +17,8 @@ pub unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
 #[derive(Clone, Copy)]
 pub struct Zmm<const BF16: bool>(__m512);
 
-// Unsafe below: this set is available, because `run` and `run_bf16` are the only entries and their caller checked the
-// processor.
+// The unsafe blocks below rely on this: the instruction set is available, because `run` and `run_bf16` are the only
+// entry points and their caller has checked the processor.
 impl<const BF16: bool> Lanes for Zmm<BF16> {
     const WIDE: bool = true;
     #[inline(always)]
@@ -123,7 +123,8 @@ unsafe fn words(bits: __m512) -> __m512bh {
     unsafe { std::mem::transmute(bits) }
 }
 
-/// Packs words of pairs without BF16 instructions; equals [`super::pair`].
+/// Rounds values to bf16 and packs them into words of pairs, without BF16 instructions. The result equals that of
+/// [`super::pair`].
 #[inline(always)]
 unsafe fn round(first: __m512, second: __m512) -> __m512 {
     // SAFETY: the caller runs with AVX-512F, as `Zmm` does.
@@ -134,7 +135,7 @@ unsafe fn round(first: __m512, second: __m512) -> __m512 {
     }
 }
 
-/// Values whose upper halves are the nearest bf16; equals [`super::bf16`].
+/// Returns words whose upper halves are the nearest bf16 values. They equal the results of [`super::bf16`].
 #[inline(always)]
 unsafe fn round_up(value: __m512) -> __m512i {
     // SAFETY: as above.

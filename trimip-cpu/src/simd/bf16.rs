@@ -1,6 +1,7 @@
 //! Rounding to bf16.
 
-/// The nearest bf16, ties to even: the upper half of an f32. Values below the smallest normal f32 become zero.
+/// Rounds to the nearest bf16, ties to even; a bf16 is the upper half of an f32. Values whose magnitude is below the
+/// smallest normal f32 become zero.
 #[inline(always)]
 pub fn bf16(value: f32) -> u16 {
     let bits = value.to_bits();

@@ -1,9 +1,9 @@
-//! Kernels, and the operations on sixteen lanes that they are written over.
+//! Kernels, and the operations on sixteen lanes that kernels consist of.
 
 use super::bf16::pair;
 
-/// A computation written over lanes. `run` and everything that it calls must be `#[inline(always)]`; only then is it
-/// compiled with the features of the instruction set.
+/// A computation that is written in terms of [`Lanes`]. `run` and everything that it calls must be `#[inline(always)]`;
+/// otherwise the compiler does not use the features of the instruction set.
 pub trait Kernel {
     /// The result.
     type Output;
@@ -11,7 +11,8 @@ pub trait Kernel {
     fn run<L: Lanes>(self) -> Self::Output;
 }
 
-/// Sixteen f32, or sixteen words, each a pair of bf16 (the first in the low half) in the bits of an f32.
+/// Sixteen f32 values, or sixteen words. A word is a pair of bf16 values in the bits of an f32; the first value is in
+/// the low half.
 pub trait Lanes: Copy {
     /// True if 24 accumulators fit in registers.
     const WIDE: bool;
@@ -27,38 +28,38 @@ pub trait Lanes: Copy {
     /// # Safety
     /// `to` is valid for 16 values.
     unsafe fn store(self, to: *mut f32);
-    /// The lanes of 16 values.
+    /// Reads the lanes from an array.
     #[inline(always)]
     fn of(values: &[f32; 16]) -> Self {
         // SAFETY: 16 values.
         unsafe { Self::load(values.as_ptr()) }
     }
-    /// Writes the lanes over 16 values.
+    /// Writes the lanes to an array.
     #[inline(always)]
     fn put(self, to: &mut [f32; 16]) {
         // SAFETY: 16 values.
         unsafe { self.store(to.as_mut_ptr()) };
     }
-    /// self · factor + addend.
+    /// Returns self · factor + addend.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
-    /// Lane-wise product.
+    /// Returns the lane-wise product.
     #[inline(always)]
     fn times(self, factor: Self) -> Self {
         self.mul_add(factor, Self::splat(0.0))
     }
     /// Sets lanes below zero to zero.
     fn relu(self) -> Self;
-    /// Keeps the lanes where `mask` is above zero; the others become zero.
+    /// Keeps the lanes where `mask` is above zero, and sets all others to zero.
     fn where_positive(self, mask: Self) -> Self;
-    /// Lane-wise sum.
+    /// Returns the lane-wise sum.
     fn add(self, other: Self) -> Self;
-    /// Sum of all lanes.
+    /// Returns the sum of all lanes.
     fn sum(self) -> f32;
-    /// First value of each pair, as f32.
+    /// Returns the first value of each pair, as f32.
     fn first(self) -> Self;
-    /// Second value of each pair, as f32.
+    /// Returns the second value of each pair, as f32.
     fn second(self) -> Self;
-    /// For words of pairs: self.0 · factor.0 + self.1 · factor.1 + addend, in f32.
+    /// Returns self.0 · factor.0 + self.1 · factor.1 + addend in f32, where .0 and .1 are the two values of each word.
     #[inline(always)]
     fn dot_add(self, factor: Self, addend: Self) -> Self {
         self.first().mul_add(factor.first(), self.second().mul_add(factor.second(), addend))
@@ -78,7 +79,7 @@ pub trait Lanes: Copy {
         let words: [f32; 16] = std::array::from_fn(|i| pair(at(2 * i), at(2 * i + 1)));
         Self::of(&words)
     }
-    /// The 16 values as an array.
+    /// Returns the lanes as an array.
     #[inline(always)]
     fn array(self) -> [f32; 16] {
         let mut values = [0.0; 16];

@@ -1,6 +1,6 @@
 //! Sixteen f32 lanes as AVX-512, AVX2, NEON or plain Rust, chosen at run time. A [`Kernel`] is written once over [`Lanes`];
-//! [`Simd::run`] compiles it for each instruction set. Results differ between the sets only in rounding (fused or
-//! not).
+//! [`Simd::run`] compiles it for each instruction set. Results differ between the sets only in rounding (fused
+//! multiply-adds or not).
 
 #[cfg(target_arch = "x86_64")]
 pub(crate) mod amx;
@@ -54,13 +54,14 @@ impl fmt::Display for Simd {
 }
 
 impl Simd {
-    /// The widest set that this processor supports.
+    /// Returns the widest set that this processor supports.
     pub fn detect() -> Self {
         Self::available()[0]
     }
 
-    /// True if bf16 products have their own instructions and are faster than f32 products. On Intel's processors dot products
-    /// of pairs are slower: on one thread of an Emerald Rapids the networks take 1.6 to 1.8 times as long as in f32.
+    /// Returns true if bf16 products have their own instructions and are faster than f32 products. On Intel's processors, dot
+    /// products of bf16 pairs are slower than f32 products: on one thread of an Emerald Rapids, the networks take 1.6 to 1.8
+    /// times as long with them.
     pub fn has_bf16(self) -> bool {
         match self {
             Self::Amx => true,
@@ -70,9 +71,10 @@ impl Simd {
         }
     }
 
-    /// Least width of hidden layers whose bf16 products are faster than f32 products: tiles are no faster for narrow layers,
-    /// whose values are rounded and moved for few products each. On two threads of an Emerald Rapids, *lego* trains 10 % fewer
-    /// samples a second with tiles than in f32 at 64 units, and 28 % more at 128.
+    /// Returns the minimum width of hidden layers at which bf16 products are faster than f32 products. Tiles are not faster
+    /// for narrow layers, because each value that is rounded and moved takes part in only a few products. On two threads of an
+    /// Emerald Rapids, training of *lego* with tiles processes 10 % fewer samples per second than in f32 at 64 units, and 28 %
+    /// more at 128.
     pub fn bf16_from(self) -> Option<u32> {
         match self {
             Self::Amx => Some(128),
@@ -80,7 +82,7 @@ impl Simd {
         }
     }
 
-    /// True if this set has matrix tiles and the processor supports them.
+    /// Returns true if this set has matrix tiles and the processor supports them.
     pub(crate) fn has_tiles(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -89,7 +91,7 @@ impl Simd {
         }
     }
 
-    /// All sets that this processor supports, widest first.
+    /// Returns all sets that this processor supports, widest first.
     pub fn available() -> Vec<Self> {
         #[allow(unused_mut)]
         let mut sets = vec![];
@@ -155,7 +157,7 @@ impl Simd {
     }
 }
 
-/// True for a processor whose CPUID names Intel as its maker.
+/// Returns true if CPUID names Intel as the processor's maker.
 #[cfg(target_arch = "x86_64")]
 fn is_of_intel() -> bool {
     let maker = std::arch::x86_64::__cpuid(0);

@@ -15,7 +15,7 @@ impl Neon {
     }
 }
 
-// Unsafe below: every processor of this architecture has NEON, and the target enables it.
+// The unsafe blocks below rely on this: every processor of this architecture has NEON, and the target enables it.
 #[allow(unused_unsafe)]
 impl Lanes for Neon {
     const WIDE: bool = false;
@@ -43,7 +43,7 @@ impl Lanes for Neon {
     }
     #[inline(always)]
     fn relu(self) -> Self {
-        // `maxnm` returns the number where the other operand is NaN, so NaN becomes zero as in the other sets.
+        // If one operand is NaN, `maxnm` returns the other one, so NaN becomes zero as with the other instruction sets.
         // SAFETY: this set is available.
         Self::each(|i| unsafe { vmaxnmq_f32(self.0[i], vdupq_n_f32(0.0)) })
     }

@@ -19,7 +19,8 @@ impl Kernel for Pairs {
 #[test]
 fn pairs_are_the_nearest_bf16_and_their_dot_products() {
     let nearest = |x: f32| f32::from_bits(u32::from(bf16(x)) << 16);
-    // Literal roundings: exact, a tie to even below and above, rounding up, and values without a nearest bf16.
+    // Literal roundings: an exact value, ties that round down and up to even, rounding up; then values beyond the range
+    // of bf16.
     assert_eq!(
         [1.0, 1.0 + 1.0 / 256.0, 1.0 + 3.0 / 256.0, 1.005].map(nearest),
         [1.0, 1.0, 1.0 + 4.0 / 256.0, 1.0 + 1.0 / 128.0]

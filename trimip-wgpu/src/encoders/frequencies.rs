@@ -12,23 +12,23 @@ use trimip_core::{Aabb, Config, field::encoders};
 shared! {
     /// Parameters of positional encodings.
     struct Params as Params {
-        /// Size of the box, world units.
+        /// Size of the box, in world units.
         extent: [f32; 3],
         /// Number of frequencies.
         count: u32,
-        /// 1 for the mean over a Gaussian, 0 for its centre.
+        /// 1 if sines and cosines are averaged over the sample's Gaussian, 0 if they are taken at its centre.
         integrated: u32,
-        /// 1 if the position is a feature too.
+        /// 1 if the coordinates themselves are features too.
         identity: u32,
-        /// Floats in a row of features.
+        /// Number of floats in a row of features.
         stride: u32,
         counter: u32,
-        /// Ratio of mip-NeRF's radius to that of a disc.
+        /// Ratio of mip-NeRF's radius of a cone to the radius of a disc of the pixel's area.
         radius: f32,
     }
 }
 
-/// Computes the features of samples.
+/// Returns the kernel that computes the features of samples.
 fn write() -> Kernel {
     Kernel::new(
         "frequencies",
@@ -37,7 +37,7 @@ fn write() -> Kernel {
     )
 }
 
-/// The encoding.
+/// The configured positional encoding, with its kernel.
 pub(crate) struct Frequencies {
     gpu: Arc<Gpu>,
     write: Pipeline,

@@ -13,31 +13,31 @@ use trimip_core::field::params::ALIGNMENT;
 use trimip_core::{Aabb, Config, field::encoders};
 
 shared! {
-    /// A level.
+    /// A level of the grid.
     struct Level as Level {
-        /// Cells across the box, minus one.
+        /// Number of cells across the box, minus one.
         scale: f32,
-        /// Corners along a side; 0 if corners share entries through the hash.
+        /// Number of corners along a side; 0 if a hash maps corners to entries.
         side: u32,
         /// Index of the first entry, and number of entries.
         first: u32,
         entries: u32,
     }
 
-    /// Parameters of reads and of the sums of gradients.
+    /// Parameters of the kernels that read entries and add up gradients.
     struct Params as Params {
         levels: u32,
-        /// Floats in a row of features.
+        /// Number of floats in a row of features.
         stride: u32,
         counter: u32,
     }
 
-    /// Parameters of the points of samples.
+    /// Parameters of the kernel that computes the points of samples.
     struct Preparing as Params {
-        /// Size of the box, world units, and its longest side.
+        /// Size of the box in world units, and its longest side.
         extent: [f32; 3],
         longest: f32,
-        /// Points per sample: 1 or 6.
+        /// Number of points per sample: 1 or 6.
         points: u32,
         counter: u32,
     }
@@ -52,12 +52,12 @@ const HASH: Source = Parts(&[
     Text(include_str!("shaders/hash_grid.wgsl")),
 ]);
 
-/// Constants of the kernels for entries of `features` floats, read at the points of a sample.
+/// Returns the constants of the kernels for entries of `features` floats that samples read at `points`.
 fn constants(features: u32, points: &Points<f32>) -> [(&'static str, u32); 3] {
     [("FEATURES", features), ("POINTS", points.count as u32), ("WEIGHTED", u32::from(points.downweight))]
 }
 
-/// Computes the points of samples.
+/// Returns the kernel that computes the points of samples.
 fn prepare() -> Kernel {
     let turns = Constant("TURNS", Value::Reals(&TURNS));
     Kernel::new(
@@ -67,7 +67,7 @@ fn prepare() -> Kernel {
     )
 }
 
-/// Trilinear reads.
+/// Returns the kernel that reads entries with trilinear interpolation.
 fn read(features: u32, points: &Points<f32>) -> Kernel {
     Kernel::new(
         "hash_read",
@@ -77,7 +77,7 @@ fn read(features: u32, points: &Points<f32>) -> Kernel {
     .with(&constants(features, points))
 }
 
-/// Adds gradients of entries.
+/// Returns the kernel that adds up the gradients of entries.
 fn add(features: u32, points: &Points<f32>, addition: Addition) -> Kernel {
     let kernel = addition.kernel(
         "hash_add",
@@ -92,13 +92,13 @@ pub(crate) struct Grid {
     gpu: Arc<Gpu>,
     points: Points<f32>,
     levels: Buffer<Level>,
-    /// Number of levels, and of those in use, coarse to fine.
+    /// Number of levels, and number of levels in use, coarse to fine.
     count: u32,
     active: u32,
     stride: u32,
     prepare: Pipeline,
     read: Pipeline,
-    /// Sums over the table, up to the next slot.
+    /// Sums of gradients for the table, up to the next slot.
     sums: Scatter,
 }
 

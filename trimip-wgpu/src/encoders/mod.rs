@@ -18,10 +18,10 @@ use crate::workspace::Addition;
 use std::sync::Arc;
 use trimip_core::Config;
 
-/// Gaussians of samples.
+/// Shader source: computes the Gaussians of samples.
 const GAUSSIANS: Source = Parts(&[RAY, Text(include_str!("shaders/rip_gaussians.wgsl"))]);
 
-/// Levels and texels of bilinear reads.
+/// Shader source: computes the mip levels and texels of bilinear reads.
 pub const TEXELS: Source = Text(include_str!("shaders/texels.wgsl"));
 
 /// The interface of an encoder on the GPU.
@@ -41,11 +41,11 @@ pub(crate) trait Encoding: Sized + Send + Sync {
     /// Rebuilds data derived from the parameters.
     fn refresh(&mut self, _parameters: &Buffer<f32>) {}
 
-    /// Encodes every sample. Features are rows of `stride` floats; those beyond the encoder's width become zero. The
-    /// context has rows of the definition's length.
+    /// Encodes every sample. A row of features has `stride` floats; those beyond the encoder's width become zero. A row
+    /// of the context has the length that the encoder's definition states.
     fn forward(&self, parameters: &Buffer<f32>, at: &Places, context: &Buffer<f32>, features: &Buffer<f32>);
 
-    /// Sums the partial gradients and overwrites the encoder's part of `parameter_gradient`.
+    /// Sums the partial gradients and overwrites the encoder's part of `parameter_gradient` with the sums.
     fn reduce(
         &mut self,
         partials: impl Iterator<Item = FeatureGradients>,
@@ -53,7 +53,7 @@ pub(crate) trait Encoding: Sized + Send + Sync {
         parameter_gradient: &Buffer<f32>,
     );
 
-    /// The encoder's kernels in every variant, for validation.
+    /// Returns the encoder's kernels in every variant, for validation.
     #[cfg(test)]
     fn kernels() -> Vec<Kernel>;
 }
@@ -72,7 +72,7 @@ pub(crate) struct Places {
     pub rows: Rows,
 }
 
-/// Feature gradients of a step, with the places they belong to.
+/// Feature gradients of a step, with the samples that they belong to.
 pub(crate) struct FeatureGradients {
     pub at: Places,
     pub context: wgpu::Buffer,

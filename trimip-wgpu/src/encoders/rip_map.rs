@@ -14,26 +14,27 @@ use trimip_core::{Aabb, Config};
 shared! {
     /// A plane with a ripmap.
     struct Plane as Plane {
-        /// Map from the unit cube to the place along a row and across the rows: factors, and the place of the origin.
+        /// Linear maps from the unit cube to the position along a row, and to the position across the rows: three
+        /// factors, then the position of the origin.
         places: [[f32; 4]; 2],
-        /// Unit vectors along the two axes, and half of log2 of the variance that reads level 0.
+        /// For each of the two axes: its unit vector, then half of log2 of the variance at which level 0 is read.
         axes: [[f32; 4]; 2],
-        /// Columns and rows of level (0, 0).
+        /// Numbers of columns and rows of level (0, 0).
         sides: [u32; 2],
-        /// First texel of level (0, 0) in the parameters.
+        /// Index of the first texel of level (0, 0) in the parameters.
         first: u32,
-        /// First texel in the ripmaps of all planes.
+        /// Index of the plane's first texel in the array of all ripmaps.
         start: u32,
     }
 
-    /// Parameters of the Gaussians.
+    /// Parameters of the kernel that computes Gaussians.
     struct Preparing as Params {
-        /// Size of the unit cube, world units.
+        /// Size of the unit cube, in world units.
         extent: [f32; 3],
         counter: u32,
     }
 
-    /// Parameters of reads and of the sums of gradients.
+    /// Parameters of the kernels that read texels and add up gradients.
     struct Params as Params {
         planes: u32,
         levels: u32,
@@ -44,7 +45,7 @@ shared! {
     struct Pass as Pass {
         planes: u32,
         levels: u32,
-        /// The level that is computed, or whose gradient is passed to finer levels.
+        /// Level whose texels are computed, or whose gradient is added to the finer level.
         level: u32,
     }
 }
@@ -62,7 +63,7 @@ const AVERAGING: Source = Parts(&[PASS, Text(include_str!("shaders/rip_average.w
 const PULLING: Source = Parts(&[PASS, Text(include_str!("shaders/rip_pull.wgsl"))]);
 
 kernels! {
-    /// The kernels of ripmaps, apart from the sums of gradients.
+    /// The kernels of ripmaps, except the one that adds up gradients.
     struct Kernels {
         /// Computes the Gaussians of samples.
         prepare: Kernel::new(
@@ -93,7 +94,7 @@ kernels! {
     }
 }
 
-/// Adds feature gradients to the gradients of ripmaps.
+/// Returns the kernel that adds feature gradients to the gradients of ripmaps.
 fn add(addition: Addition) -> Kernel {
     let channels = Source::whole("CHANNELS", CHANNELS as u32);
     addition.kernel(
@@ -124,11 +125,11 @@ pub(crate) struct RipMaps {
     planes: Buffer<Plane>,
     levels: u32,
     extent: [f32; 3],
-    /// Floats of the bases of all planes.
+    /// Number of floats of the bases of all planes.
     base: usize,
     maps: Buffer<f32>,
     map_gradients: Buffer<f32>,
-    /// Sums over all ripmaps.
+    /// Sums of gradients for all ripmaps.
     sums: Scatter,
 }
 
@@ -137,7 +138,7 @@ impl RipMaps {
         Params { planes: self.own.len() as u32, levels: self.levels, counter }
     }
 
-    /// Runs a pass over the texels of `level` along an axis: along the rows, or across them.
+    /// Runs a pass over the texels of `level`: along the rows or, if `across` is true, across them.
     fn pass(
         &self,
         pipeline: &Pipeline,

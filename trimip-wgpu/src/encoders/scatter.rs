@@ -1,4 +1,4 @@
-//! Sums of the gradients of an encoder's parameters: every sample adds to a few of them, in one of three ways.
+//! Adds up the gradients of an encoder's parameters. Every sample adds to a few parameters, in one of three ways.
 
 use super::{FeatureGradients, whole};
 use crate::gpu::Access::{self, Parameters, Write};
@@ -9,9 +9,9 @@ use crate::workspace::Addition;
 use std::sync::Arc;
 use trimip_core::field::params::ALIGNMENT;
 
-/// Reads gradients in fixed point.
+/// Shader source: reads gradients in fixed point.
 pub const OWN_FIXED: Source = Parts(&[FIXED, Text(include_str!("../shaders/own_fixed.wgsl"))]);
-/// Reads gradients in f32.
+/// Shader source: reads gradients in f32.
 pub const OWN_FLOAT: Source = Text(include_str!("../shaders/own_float.wgsl"));
 
 /// All ways of adding, for validation.
@@ -19,7 +19,7 @@ pub const OWN_FLOAT: Source = Text(include_str!("../shaders/own_float.wgsl"));
 pub const ADDITIONS: [Addition; 3] = [Addition::Fixed, Addition::Atomic, Addition::Exchange];
 
 impl Addition {
-    /// The functions `add_base` and `add_derived`.
+    /// Returns the source of the functions `add_base` and `add_derived`.
     pub fn source(self) -> Source {
         match self {
             Self::Fixed => Parts(&[FIXED, Text(include_str!("../shaders/add_fixed.wgsl"))]),
@@ -28,7 +28,7 @@ impl Addition {
         }
     }
 
-    /// A kernel that calls only `add_base`.
+    /// Returns a kernel that calls only `add_base`.
     pub fn kernel(self, entry: &'static str, sources: &[Source], bindings: &[(u32, Access)]) -> Kernel {
         let own: &[(u32, Access)] = if self == Self::Fixed { &[(6, Write), (8, Write)] } else { &[] };
         Kernel::new(entry, sources, bindings).and(&[self.source()], own)
@@ -38,12 +38,12 @@ impl Addition {
 shared! {
     /// Parameters of the conversion from fixed point.
     struct Conversion as Conversion {
-        /// Number of groups of four.
+        /// Number of groups of four floats.
         count: u32,
     }
 }
 
-/// Converts gradients from fixed point to f32.
+/// Returns the kernel that converts gradients from fixed point to f32.
 pub fn to_float() -> Kernel {
     let text = Text(include_str!("shaders/fixed_to_float.wgsl"));
     let sources = [GRID, OWN_FIXED, Source::of::<Conversion>(), text];
@@ -64,7 +64,7 @@ pub struct Scatter {
 }
 
 impl Scatter {
-    /// Sums of `length` floats with the kernel `add`; minimal buffers unless `training`.
+    /// Creates sums of `length` floats, to which the kernel `add` adds; the buffers are minimal unless `training`.
     pub fn new(
         gpu: &Arc<Gpu>,
         add: Kernel,
@@ -84,7 +84,7 @@ impl Scatter {
         }
     }
 
-    /// Number of floats.
+    /// Returns the number of floats.
     pub fn length(&self) -> usize {
         self.length
     }
@@ -96,8 +96,8 @@ impl Scatter {
         self.gpu.clear(self.high.raw(), 0, bytes(self.high.capacity()));
     }
 
-    /// Adds the gradients of a tile's features. `places` is the array that the kernel reads for each sample; `rest`
-    /// are its bindings after those of the sums.
+    /// Adds the gradients of a tile's features. `places` is the array from which the kernel reads where each sample
+    /// lies; `rest` are the kernel's bindings after those of the sums.
     pub fn add<P: Shared>(
         &self,
         from: &FeatureGradients,
@@ -113,7 +113,7 @@ impl Scatter {
         self.gpu.dispatch(&self.add, &binds, params, size);
     }
 
-    /// Converts the sums to f32.
+    /// Converts sums in fixed point to f32.
     pub fn to_float(&self, sums: &Buffer<f32>) {
         if let Some(to_float) = &self.to_float {
             let count = self.length as u32 / 4;

@@ -1,4 +1,4 @@
-//! Factored tensors on the GPU: one invocation per sample and four features, forward and backward.
+//! Factored tensors on the GPU: one invocation per group of four features of a sample, forward and backward.
 
 use super::scatter::Scatter;
 use super::{Encoding, FeatureGradients, Places, whole};
@@ -14,16 +14,16 @@ use trimip_core::{Config, field::encoders};
 shared! {
     /// Parameters of factored tensors.
     struct Params as Params {
-        /// Grid points along the box's axes.
+        /// Number of grid points along each of the box's axes.
         sides: [u32; 3],
         /// Number of planes: 3, or 0 for products of three lines.
         planes: u32,
         /// First index of the planes and the lines of the density tensor, then of the colour tensor, in units of four
         /// floats.
         starts: [u32; 4],
-        /// Components of the density and of the colour tensor, in units of four.
+        /// Number of components of the density tensor and of the colour tensor, in units of four.
         components: [u32; 2],
-        /// Floats in a row of features, in units of four.
+        /// Number of floats in a row of features, in units of four.
         stride: u32,
         counter: u32,
     }
@@ -31,7 +31,7 @@ shared! {
 
 const TENSOR: Source = Parts(&[GRID, Source::of::<Params>(), Text(include_str!("shaders/tensor.wgsl"))]);
 
-/// Computes the features of samples.
+/// Returns the kernel that computes the features of samples.
 fn read() -> Kernel {
     Kernel::new(
         "tensor_read",
@@ -40,7 +40,7 @@ fn read() -> Kernel {
     )
 }
 
-/// Adds gradients of factors.
+/// Returns the kernel that adds up the gradients of factors.
 fn add(addition: Addition) -> Kernel {
     addition.kernel(
         "tensor_add",
@@ -52,14 +52,14 @@ fn add(addition: Addition) -> Kernel {
 /// The shape of the factors, and the sums of their gradients.
 pub(crate) struct Factors {
     gpu: Arc<Gpu>,
-    /// Shapes by stage of growth; `shape` is the one in use.
+    /// Shapes at all growth stages; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
-    /// First index of the planes and the lines of each tensor.
+    /// First index of the planes and the lines of each tensor, in units of four floats.
     starts: [u32; 4],
     stride: u32,
     read: Pipeline,
-    /// Sums over all factors, up to the next slot.
+    /// Sums of gradients for all factors, up to the next slot.
     sums: Scatter,
 }
 

@@ -1,5 +1,5 @@
-//! Tri-mip encoding on the GPU. The planes are at the front of the parameters; the levels above them are one derived
-//! array.
+//! Tri-mip encoding on the GPU. The base planes lie at the front of the parameters; the mip levels above them are
+//! stored in one derived array.
 
 use super::scatter::{OWN_FIXED, OWN_FLOAT};
 use super::{Encoding, FeatureGradients, Places, TEXELS, whole};
@@ -12,26 +12,26 @@ use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, LEVELS_PER_UNIT,
 use trimip_core::{Aabb, Config, field::encoders};
 
 shared! {
-    /// Parameters of reads and of the sums of gradients.
+    /// Parameters of the kernels that read texels and add up gradients.
     struct Params as Pyramid {
         /// log2 of each plane's base radius.
         log2_base_radius: [f32; 3],
         levels: u32,
-        /// Texels along x, y and z at level 0.
+        /// Number of texels along x, y and z at level 0.
         sides: [u32; 3],
-        /// Index of the counter of rows: counts[counter].
+        /// Index of the counter that holds the number of rows: counts[counter].
         counter: u32,
-        /// log2 of the radius of level 0, for the level input.
+        /// log2 of the sphere radius that corresponds to level 0, for the level input.
         reference: f32,
         /// 1 if the level of a sample is one of its features.
         level_input: u32,
-        /// Floats in a row of features.
+        /// Number of floats in a row of features.
         stride: u32,
     }
 
     /// Parameters of a pass over a level.
     struct LevelParams as Params {
-        /// Texels of the finer level along x, y and z.
+        /// Number of texels of the finer level along x, y and z.
         sides: [u32; 3],
         /// 1 if there is a coarser level.
         has_coarse: u32,
@@ -44,7 +44,7 @@ const PLANES: Source = Parts(&[
     Text(include_str!("shaders/planes.wgsl")),
 ]);
 
-/// The level of a sphere, and the texels that it reads.
+/// Shader source: computes the mip level of a sample's sphere, and the texels that the sample reads.
 pub const TRI_MIP: Source = Parts(&[
     PLANES,
     TEXELS,
@@ -59,7 +59,7 @@ pub const TRI_MIP: Source = Parts(&[
 /// Number of features that a sample reads from texels, in units of four.
 const FOURS: u32 = FEATURES as u32 / 4;
 
-/// Computes the features of samples.
+/// Returns the kernel that computes the features of samples.
 fn encode() -> Kernel {
     Kernel::new(
         "encode",
@@ -68,7 +68,7 @@ fn encode() -> Kernel {
     )
 }
 
-/// Computes a level from the next finer one.
+/// Returns the kernel that computes a mip level from the next finer level.
 fn average() -> Kernel {
     Kernel::new(
         "average",
@@ -77,7 +77,7 @@ fn average() -> Kernel {
     )
 }
 
-/// Scatters feature gradients to texel gradients.
+/// Returns the kernel that adds feature gradients to texel gradients.
 fn scatter(addition: Addition) -> Kernel {
     let own: &[(u32, Access)] =
         if addition == Addition::Fixed { &[(6, Write), (7, Write), (8, Write)] } else { &[] };
@@ -89,7 +89,7 @@ fn scatter(addition: Addition) -> Kernel {
     .and(&[addition.source()], own)
 }
 
-/// Pulls gradients from a coarse level to the next finer one.
+/// Returns the kernel that adds the gradients of a coarse level to the next finer level.
 fn pull(addition: Addition) -> Kernel {
     let kernel = Kernel::new(
         "pull",
@@ -110,13 +110,14 @@ pub(crate) struct Planes {
     scatter: Pipeline,
     pull: Pipeline,
     pyramid: Pyramid,
-    /// The pyramid at full resolution; `pyramid` is that of the growth stage.
+    /// The pyramid at full resolution; `pyramid` is the one at the current growth stage.
     whole: Pyramid,
     derived: Buffer<f32>,
     derived_gradient: Buffer<f32>,
-    /// log2 of the radius of level 0, if the level of a sample is one of its features.
+    /// log2 of the sphere radius that corresponds to level 0; `None` unless the level of a sample is one of its
+    /// features.
     reference: Option<f32>,
-    /// Floats in a row of features.
+    /// Number of floats in a row of features.
     stride: usize,
     addition: Addition,
     /// High words of the fixed-point gradients of the planes and of the derived levels.
@@ -139,13 +140,13 @@ impl Planes {
         }
     }
 
-    /// Parameters of a pass over `level`.
+    /// Returns the parameters of a pass over `level`.
     fn level_params(&self, level: usize, has_coarse: bool) -> LevelParams {
         let sides = self.pyramid.sides.map(|side| (side >> level) as u32);
         LevelParams { sides, has_coarse: u32::from(has_coarse) }
     }
 
-    /// Invocations of a pass over `level`: one per four channels of a texel.
+    /// Returns the number of invocations of a pass over `level`: one per four channels of a texel.
     fn items(&self, level: usize) -> Size<'static> {
         Size::Items((self.pyramid.texels(level) * CHANNELS / 4) as u64)
     }
@@ -237,10 +238,10 @@ impl Encoding for Planes {
             let size = rows.dispatch(FOURS, GROUP);
             self.gpu.dispatch(&self.scatter, &binds, &self.params(rows.counter), size);
         }
-        // Pull from coarse to fine: each texel gets a quarter of its parent's gradient.
+        // Adds gradients from coarse to fine levels: each texel gets a quarter of its parent's gradient.
         for level in (0..self.pyramid.levels).rev() {
             let has_coarse = level + 1 < self.pyramid.levels;
-            // Without a coarser level, another buffer is bound in its place and not read.
+            // If there is no coarser level, another buffer is bound in its place; the kernel does not read it.
             let coarse = match has_coarse {
                 true => self.level(level + 1, parameter_gradient, &self.derived_gradient),
                 false => self.derived.bind(),

@@ -15,14 +15,14 @@ use trimip_core::{Config, field::encoders};
 shared! {
     /// Parameters of the grid.
     struct Params as Params {
-        /// Grid points along the box's axes.
+        /// Number of grid points along each of the box's axes.
         sides: [u32; 3],
-        /// Floats in a row of features.
+        /// Number of floats in a row of features.
         stride: u32,
         /// Index of the first density and of the first colour.
         density: u32,
         colors: u32,
-        /// Spherical harmonics of a colour.
+        /// Number of spherical harmonics of a colour.
         harmonics: u32,
         counter: u32,
     }
@@ -37,7 +37,7 @@ const VOXELS: Source = Parts(&[
     Text(include_str!("shaders/voxels.wgsl")),
 ]);
 
-/// Computes the features of samples.
+/// Returns the kernel that computes the features of samples.
 fn read() -> Kernel {
     Kernel::new(
         "voxels_read",
@@ -46,7 +46,7 @@ fn read() -> Kernel {
     )
 }
 
-/// Adds gradients.
+/// Returns the kernel that adds up gradients.
 fn add(addition: Addition) -> Kernel {
     addition.kernel(
         "voxels_add",
@@ -58,14 +58,14 @@ fn add(addition: Addition) -> Kernel {
 /// The grid, and the sums of its gradients.
 pub(crate) struct Grid {
     gpu: Arc<Gpu>,
-    /// Shapes by stage of growth; `shape` is the one in use.
+    /// Shapes at all growth stages; `shape` is the one in use.
     shapes: Vec<Shape>,
     shape: Shape,
     /// Index of the first density and of the first colour.
     starts: [u32; 2],
     stride: u32,
     read: Pipeline,
-    /// Sums over densities and colours, up to the next slot.
+    /// Sums of gradients for densities and colours, up to the next slot.
     sums: Scatter,
 }
 

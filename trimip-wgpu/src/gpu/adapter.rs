@@ -6,9 +6,9 @@ use trimip_core::{Error, Result};
 /// An adapter and its capabilities.
 #[derive(Clone, Debug)]
 pub struct AdapterFacts {
-    /// Its name.
+    /// Name of the adapter.
     pub name: String,
-    /// One line: kind, backend, driver.
+    /// Kind, backend and driver, in one line.
     pub about: String,
     /// Relevant limits and features: name and value.
     pub offers: Vec<(&'static str, String)>,
@@ -26,7 +26,7 @@ async fn all_adapters_async() -> Vec<wgpu::Adapter> {
     instance().enumerate_adapters(wgpu::Backends::all()).await
 }
 
-/// All adapters of this machine.
+/// Returns all adapters of this machine.
 pub fn adapters() -> Vec<AdapterFacts> {
     all_adapters().iter().map(facts).collect()
 }
@@ -68,7 +68,7 @@ fn rank(info: &wgpu::AdapterInfo) -> u32 {
     }
 }
 
-/// The adapter whose name contains `name` (ignoring case), or the best one if `name` is empty.
+/// Returns the adapter whose name contains `name` (ignoring case), or the best adapter if `name` is empty.
 ///
 /// # Errors
 /// When there is no such adapter.
@@ -76,7 +76,8 @@ pub fn choose(name: &str) -> Result<wgpu::Adapter> {
     choose_among(all_adapters(), name)
 }
 
-/// As [`choose`], but selects adapter `index`, modulo their number, among those as good as the best.
+/// Returns adapter `index`, modulo their number, among the adapters that match `name` and have the kind and backend of
+/// the one that [`choose`] returns.
 ///
 /// # Errors
 /// As [`choose`].
@@ -95,7 +96,7 @@ pub fn choose_one_of(name: &str, index: usize) -> Result<wgpu::Adapter> {
     alike.into_iter().nth(index % count).map_or_else(|| choose_among(all_adapters(), name), Ok)
 }
 
-/// As [`choose`], without blocking.
+/// Chooses an adapter as [`choose`] does, without blocking.
 ///
 /// # Errors
 /// As [`choose`].
@@ -121,13 +122,14 @@ fn choose_among(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Result<wgpu::Ad
     })
 }
 
-/// Full name of the adapter with this name if it is a software adapter, which runs on the processor.
+/// Returns the full name of the adapter that [`choose`] returns for `name`, if it is a software adapter, which runs on
+/// the processor.
 pub fn software(name: &str) -> Option<String> {
     let info = choose(name).ok()?.get_info();
     (info.device_type == wgpu::DeviceType::Cpu).then_some(info.name)
 }
 
-/// Largest binding in bytes of the adapter with this name, if there is one.
+/// Returns the size in bytes of the largest binding of the adapter that [`choose`] returns for `name`, if there is one.
 pub fn largest_binding(name: &str) -> Option<u64> {
     choose(name).ok().map(|adapter| adapter.limits().max_storage_buffer_binding_size)
 }

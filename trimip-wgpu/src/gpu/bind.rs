@@ -26,7 +26,7 @@ impl<'a> Bind<'a> {
     }
 }
 
-/// Bindings whose number depends on the variant of a kernel, without an allocation.
+/// Bindings whose number depends on the variant of a kernel, stored without an allocation.
 pub struct Binds<'a> {
     /// The bindings, followed by copies of the first.
     all: [Bind<'a>; MOST_BUFFERS],
@@ -34,7 +34,7 @@ pub struct Binds<'a> {
 }
 
 impl<'a> Binds<'a> {
-    /// Begins with one binding.
+    /// Creates a list of one binding.
     pub fn new(first: Bind<'a>) -> Self {
         Self { all: [first; MOST_BUFFERS], count: 1 }
     }
@@ -67,13 +67,14 @@ pub enum Size<'a> {
     Items(u64),
     /// Number of workgroups.
     Groups(u64),
-    /// The number of items is a count on the device times `per`; `times` workgroups cover every `group` items.
+    /// The number of items is a counter on the device times `per`. For every `group` items there are `times`
+    /// workgroups.
     Counted {
         /// Counters on the device.
         counts: &'a wgpu::Buffer,
         /// Index of the counter.
         counter: u32,
-        /// Items per count.
+        /// Items per unit of the counter.
         per: u32,
         /// Items that a workgroup covers.
         group: u32,

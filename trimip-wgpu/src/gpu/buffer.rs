@@ -50,8 +50,9 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Makes room for `capacity` values. If there was less room, the old values are lost, and an array that was not
-    /// empty gets a quarter more than it needs, so that an array that grows step by step is seldom reallocated.
+    /// Makes room for `capacity` values. If that needs a new allocation, the old values are lost. An array that was not
+    /// empty then gets a quarter more room than it needs, so that an array that grows step by step is seldom
+    /// reallocated.
     pub fn reserve(&mut self, capacity: usize) {
         if capacity > self.capacity() {
             let spare = if self.bytes > 0 { capacity / 4 } else { 0 };
@@ -65,7 +66,7 @@ impl<T: Pod> Buffer<T> {
         self.length = Length::DeviceCounters(length);
     }
 
-    /// Makes room for `capacity` values; the length is `width` times the given counter on the device.
+    /// Makes room for `capacity` values, and sets the length to `width` times the given counter on the device.
     pub fn count_by(&mut self, capacity: usize, counts: &wgpu::Buffer, counter: u32, width: usize) {
         self.reserve(capacity);
         self.length = Length::Counted { counts: counts.clone(), counter, width, most: capacity };
@@ -78,12 +79,12 @@ impl<T: Pod> Buffer<T> {
         std::mem::swap(&mut self.length, &mut other.length);
     }
 
-    /// Number of values that fit into the allocation.
+    /// Returns the number of values that fit into the allocation.
     pub fn capacity(&self) -> usize {
         self.bytes / size_of::<T>()
     }
 
-    /// Maximum number of values.
+    /// Returns the maximum number of values.
     pub fn most(&self) -> usize {
         match self.length {
             Length::DeviceCounters(length) => length,
@@ -91,7 +92,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Number of values; `None` if it is stored on the device.
+    /// Returns the number of values; `None` if it is stored on the device.
     pub fn known_len(&self) -> Option<usize> {
         match self.length {
             Length::DeviceCounters(length) => Some(length),
@@ -99,7 +100,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// The counter that holds the number of rows, if it is on the device.
+    /// Returns the counter that holds the number of rows, if this number is on the device.
     pub fn counter(&self) -> Option<(&wgpu::Buffer, u32)> {
         match &self.length {
             Length::DeviceCounters(_) => None,
@@ -133,7 +134,7 @@ impl<T: Pod> Buffer<T> {
         self.counter().map(|(counts, counter)| self.gpu.send(counts, u64::from(counter) * 4, 1))
     }
 
-    /// Number of values, given the counter's value if the number of rows is on the device.
+    /// Returns the number of values, given the counter's value if the number of rows is on the device.
     fn length_of(&self, count: Option<Vec<u32>>) -> usize {
         match (&self.length, count.as_deref()) {
             (Length::Counted { width, most, .. }, Some(&[count])) => (count as usize * width).min(*most),
@@ -144,7 +145,7 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// The underlying `wgpu` buffer.
+    /// Returns the underlying `wgpu` buffer.
     pub fn raw(&self) -> &wgpu::Buffer {
         &self.raw
     }
@@ -154,7 +155,7 @@ impl<T: Pod> Buffer<T> {
         Bind { buffer: &self.raw, offset: 0, size: None }
     }
 
-    /// Binds `count` values from `first` on; `first` is a multiple of 64 values of four bytes.
+    /// Binds `count` values from index `first` on. The offset of this value must be a multiple of 256 bytes.
     pub fn part(&self, first: usize, count: usize) -> Bind<'_> {
         let bytes = |count: usize| (count * size_of::<T>()) as u64;
         Bind { buffer: &self.raw, offset: bytes(first), size: Some(bytes(count)) }

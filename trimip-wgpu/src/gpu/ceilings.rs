@@ -26,24 +26,24 @@ shared! {
     }
 }
 
-/// Multiply-adds without memory accesses.
+/// Returns the kernel of multiply-adds without memory accesses.
 pub fn peak() -> Kernel {
     let sources = [Source::of::<Peak>(), Source::Text(include_str!("shaders/peak.wgsl"))];
     Kernel::new("peak", &sources, &[(0, Write), (1, Parameters)])
 }
 
-/// Operations per invocation and round of `peak.wgsl`.
+/// Number of operations per invocation and round of `peak.wgsl`.
 const OPERATIONS: f64 = 8.0 * 4.0 * 2.0;
 
 /// Minimum duration of a measurement.
 const LEAST: Duration = Duration::from_millis(100);
 
 impl Ceilings {
-    /// Measures a device; takes some tenths of a second.
+    /// Measures a device, in a few tenths of a second.
     pub(crate) fn measure(gpu: &Arc<Gpu>) -> Self {
         let mark: Buffer<u32> = Buffer::zeros(gpu, 1);
         let wait = || drop(mark.read());
-        // Doubles the work until it takes long enough; only the last and longest run counts.
+        // Doubles the work until it takes long enough. The rate is that of the last run, which is the longest.
         let rate = |work: &dyn Fn(u64) -> f64| {
             let mut times = 1_u64;
             loop {

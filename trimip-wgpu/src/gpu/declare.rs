@@ -1,6 +1,6 @@
 //! Macros with which a stage declares the structs that it shares with WGSL, and its kernels.
 
-/// Defines structs that Rust and WGSL share, by `struct NAME as NAME_IN_WGSL`.
+/// Defines structs that Rust and WGSL share, with the syntax `struct NAME as NAME_IN_WGSL`.
 macro_rules! shared {
     ($($(#[$about:meta])* $vis:vis struct $name:ident as $wgsl:ident {
         $($(#[$doc:meta])* $seen:vis $field:ident: $kind:ty),* $(,)?
@@ -56,7 +56,7 @@ macro_rules! kernels {
                 Self { $($field: gpu.pipeline($kernel)),* }
             }
 
-            /// All kernels, for validation.
+            /// Returns all kernels, for validation.
             #[cfg(test)]
             pub fn all() -> Vec<$crate::gpu::Kernel> {
                 vec![$($kernel),*]

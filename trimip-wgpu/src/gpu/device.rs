@@ -24,7 +24,7 @@ pub struct Gpu {
     pipelines: Pipelines,
     recorder: Mutex<Recorder>,
     pub(super) counters: Counters,
-    /// The reason why the device was lost or refused work; the first cause is kept.
+    /// The first failure of the device, or the reason why the device was lost.
     pub(super) failure: Arc<Mutex<Option<String>>>,
 }
 
@@ -49,7 +49,7 @@ pub struct Counts {
     pub read: u64,
     /// Submissions to the queue.
     pub submissions: u64,
-    /// Times that the host waited until the device was idle.
+    /// Number of times that the host waited until the device was idle.
     pub stalls: u64,
     /// Peak number of bytes held by arrays on the device.
     pub most_held: u64,
@@ -64,7 +64,8 @@ impl Gpu {
         pollster::block_on(Self::of(choose(name)?))
     }
 
-    /// As [`Gpu::open`], but selects adapter `index`, modulo their number, among those as good as the best.
+    /// Opens an adapter as [`Gpu::open`] does, but selects the one at `index`, modulo their number, among equally good
+    /// adapters.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -72,7 +73,7 @@ impl Gpu {
         pollster::block_on(Self::of(choose_one_of(name, index)?))
     }
 
-    /// As [`Gpu::open`], without blocking.
+    /// Opens an adapter as [`Gpu::open`] does, without blocking.
     ///
     /// # Errors
     /// As [`Gpu::open`].
@@ -83,7 +84,7 @@ impl Gpu {
     /// Opens an adapter.
     async fn of(adapter: wgpu::Adapter) -> Result<Arc<Self>> {
         let info = adapter.get_info();
-        // Requests the adapter's own limits: the defaults are those of the least capable adapter.
+        // Requests the adapter's own limits, because the default limits are those of the least capable adapter.
         let limits = adapter.limits();
         let matrices = Matrices::of(&adapter);
         let mut wanted = wgpu::Features::SHADER_FLOAT32_ATOMIC | wgpu::Features::TIMESTAMP_QUERY;
@@ -130,32 +131,32 @@ impl Gpu {
         }))
     }
 
-    /// Name and driver of the adapter.
+    /// Returns the name and driver of the adapter.
     pub fn name(&self) -> String {
         format!("{} ({:?}, {})", self.info.name, self.info.backend, self.info.driver_info)
     }
 
-    /// True if the device is a software adapter, which runs on the processor.
+    /// Returns true if the device is a software adapter, which runs on the processor.
     pub fn is_software(&self) -> bool {
         self.info.device_type == wgpu::DeviceType::Cpu
     }
 
-    /// True if the device supports atomic addition of f32.
+    /// Returns true if the device supports atomic addition of f32.
     pub fn adds_floats(&self) -> bool {
         self.device.features().contains(wgpu::Features::SHADER_FLOAT32_ATOMIC)
     }
 
-    /// Cooperative matrices with f16 factors and f32 sums, if the device has them.
+    /// Returns the cooperative matrices with f16 factors and f32 sums, if the device has them.
     pub fn matrices(&self) -> Option<Matrices> {
         self.matrices
     }
 
-    /// The device's limits.
+    /// Returns the device's limits.
     pub fn limits(&self) -> &wgpu::Limits {
         &self.limits
     }
 
-    /// Values of the counters.
+    /// Returns the values of the counters.
     pub fn counts(&self) -> Counts {
         let at = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let Counters { written, read, submissions, stalls, most_held, .. } = &self.counters;
@@ -168,7 +169,7 @@ impl Gpu {
         }
     }
 
-    /// Destroys the device, as a driver reset does; everything afterwards fails.
+    /// Destroys the device, as a driver reset does; all later work fails.
     pub fn destroy(&self) {
         self.device.destroy();
     }
@@ -197,7 +198,7 @@ impl Gpu {
         self.write_at(buffer, 0, values);
     }
 
-    /// As [`Gpu::write`], at a byte offset that is a multiple of 4.
+    /// Writes values as [`Gpu::write`] does, at a byte offset that is a multiple of 4.
     pub fn write_at<T: Pod>(&self, buffer: &wgpu::Buffer, offset: u64, values: &[T]) {
         if values.is_empty() {
             return;
@@ -217,7 +218,7 @@ impl Gpu {
         self.recorder().encoder().copy_buffer_to_buffer(from, first, to, place, bytes);
     }
 
-    /// The pipeline of a kernel. A stage requests it once, when the stage is built.
+    /// Returns the pipeline of a kernel. A stage calls this function once per kernel, when the stage is built.
     pub fn pipeline(&self, kernel: Kernel) -> Pipeline {
         self.pipelines.of(kernel)
     }
@@ -245,7 +246,7 @@ impl Gpu {
         self.submit_recorder(&mut self.recorder());
     }
 
-    /// As [`Gpu::submit`], for a caller that holds the recorder.
+    /// Submits all recorded work as [`Gpu::submit`] does, for a caller that holds the recorder.
     pub(super) fn submit_recorder(&self, recorder: &mut Recorder) {
         let submitted = recorder.submit(&self.queue);
         self.counters.submissions.fetch_add(submitted.into(), Ordering::Relaxed);
@@ -254,7 +255,8 @@ impl Gpu {
     /// Checks whether anything has failed on the device so far.
     ///
     /// # Errors
-    /// Reports the loss of the device or else the first failure, with the stage, the memory in use and the limits.
+    /// When the device was lost, or any work failed. The error states the loss or else the first failure, the stage,
+    /// the memory in use and the limits.
     pub fn check(&self, stage: &str) -> Result<()> {
         if lock(&self.failure).is_none() {
             return Ok(());
@@ -275,7 +277,7 @@ impl Gpu {
     }
 
     /// Polls the device; returns false if it failed. wgpu panics if a driver loses its device during a wait; this
-    /// catches the panic and records it as an ordinary failure.
+    /// function catches the panic and records it as an ordinary failure.
     pub(super) fn poll(&self, how: wgpu::PollType) -> bool {
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(how))) {
             Ok(polled) => polled.is_ok(),
@@ -289,16 +291,16 @@ impl Gpu {
         }
     }
 
-    /// The recorder.
+    /// Locks the recorder.
     pub(super) fn recorder(&self) -> MutexGuard<'_, Recorder> {
         lock(&self.recorder)
     }
 }
 
-/// Permission for the experimental features that are requested.
+/// Permits the experimental features that are requested.
 #[allow(unsafe_code)] // the only way to have cooperative matrices
 fn experimental() -> wgpu::ExperimentalFeatures {
-    // SAFETY: of the experimental features, only cooperative matrices are requested. Every load and store of them stays
-    // within its array, because arrays end with a whole block of rows.
+    // SAFETY: cooperative matrices are the only experimental feature that is requested. Every load and store of a
+    // matrix stays within its array, because arrays end with a whole block of rows.
     unsafe { wgpu::ExperimentalFeatures::enabled() }
 }

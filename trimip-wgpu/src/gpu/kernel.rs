@@ -1,13 +1,13 @@
-//! Kernels: an entry point in WGSL, the parts that it is composed of, and the bindings that it uses. A stage declares its
-//! kernels in its own file with `kernels!`.
+//! Kernels: a kernel has an entry point in WGSL, the parts of its source, and the bindings that it uses. A stage declares
+//! its kernels in its own file with `kernels!`.
 
 use super::shared::Layout;
 use super::source::Source;
 
-/// Workgroup size of the kernels that work item by item; the constant `GROUP` of every kernel.
+/// Workgroup size of the kernels with one invocation per item; every kernel has it as the constant `GROUP`.
 pub const GROUP: u32 = 64;
 
-/// Index of the invocation.
+/// Shader source: computes the index of an invocation.
 pub const GRID: Source = Source::Text(include_str!("shaders/grid.wgsl"));
 
 /// Access of a kernel to a binding.
@@ -26,7 +26,7 @@ pub enum Access {
 pub struct Kernel {
     /// Name of the entry point.
     pub entry: &'static str,
-    /// WGSL, in order.
+    /// Parts of the WGSL source, in order.
     sources: Vec<Source>,
     /// True for kernels with f16 and cooperative matrices.
     cooperative: bool,
@@ -37,7 +37,7 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// The kernel with the entry point `entry`.
+    /// Creates the kernel with the entry point `entry`.
     pub fn new(entry: &'static str, sources: &[Source], bindings: &[(u32, Access)]) -> Self {
         let mut kernel = Self {
             entry,
@@ -50,19 +50,19 @@ impl Kernel {
         kernel
     }
 
-    /// The kernel with f16 and cooperative matrices enabled.
+    /// Enables f16 and cooperative matrices.
     pub fn cooperative(mut self) -> Self {
         self.cooperative = true;
         self
     }
 
-    /// The kernel with additional constants.
+    /// Adds constants.
     pub fn with(mut self, constants: &[(&'static str, u32)]) -> Self {
         self.constants.extend_from_slice(constants);
         self
     }
 
-    /// The kernel with additional parts and bindings.
+    /// Adds parts and bindings.
     pub fn and(mut self, sources: &[Source], bindings: &[(u32, Access)]) -> Self {
         sources.iter().for_each(|source| source.flatten(&mut self.sources));
         self.bindings.extend_from_slice(bindings);
@@ -70,12 +70,12 @@ impl Kernel {
         self
     }
 
-    /// Binding numbers and their access, in order.
+    /// Returns the binding numbers and their access, in order.
     pub fn bindings(&self) -> &[(u32, Access)] {
         &self.bindings
     }
 
-    /// The structs that the kernel shares with Rust.
+    /// Iterates over the structs that the kernel shares with Rust.
     pub fn layouts(&self) -> impl Iterator<Item = &'static Layout> {
         self.sources.iter().filter_map(|source| match source {
             Source::Struct(layout) => Some(*layout),
@@ -83,7 +83,7 @@ impl Kernel {
         })
     }
 
-    /// The complete WGSL source.
+    /// Returns the complete WGSL source.
     pub fn source(&self) -> String {
         let enables = if self.cooperative { "enable f16;\nenable wgpu_cooperative_matrix;\n" } else { "" };
         let constants = self.constants.iter().copied().chain([("GROUP", GROUP)]);
@@ -95,17 +95,17 @@ impl Kernel {
 
 #[cfg(test)]
 impl Kernel {
-    /// True for kernels with f16 and cooperative matrices.
+    /// Returns true for kernels with f16 and cooperative matrices.
     pub fn is_cooperative(&self) -> bool {
         self.cooperative
     }
 
-    /// True if `source` is among the parts.
+    /// Returns true if `source` is among the parts.
     pub fn has(&self, source: Source) -> bool {
         self.sources.contains(&source)
     }
 
-    /// Entry point and constants.
+    /// Returns the entry point and the constants.
     pub fn name(&self) -> String {
         format!("{} {:?}", self.entry, self.constants)
     }

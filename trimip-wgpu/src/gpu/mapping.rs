@@ -1,4 +1,4 @@
-//! The mapping of a buffer into the host's memory, which can be awaited by blocking or as a future.
+//! The mapping of a buffer into the host's memory. A thread can block until it is done, or a task can await it.
 
 use super::lock::lock;
 use std::future::poll_fn;
@@ -30,9 +30,9 @@ impl Mapping {
         Self(state)
     }
 
-    /// Blocks until the buffer is mapped; returns false if the mapping failed. The device has executed the copy already. The
-    /// result can still be pending, because another thread that polls the same device may be the one that delivers it.
-    /// `poll` polls the device and returns false if the device failed.
+    /// Blocks until the buffer is mapped; returns false if the mapping failed. The device has already executed the copy. The
+    /// result can still be pending if another thread polls the same device, because that thread may be the one that delivers
+    /// the result. `poll` polls the device and returns false if the device failed.
     pub fn settle(&self, poll: impl Fn() -> bool) -> bool {
         loop {
             let result = lock(&self.0).result;

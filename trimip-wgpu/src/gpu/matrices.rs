@@ -18,7 +18,8 @@ pub const COOPERATION: wgpu::Features = wgpu::Features::SHADER_F16
     .union(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX);
 
 impl Matrices {
-    /// The matrices of an adapter that the kernels support: square, of side 8 or 16, with f16 factors and f32 sums.
+    /// Returns the largest matrices of an adapter that the kernels support: square matrices of side 8 or 16, with f16
+    /// factors and f32 sums.
     pub fn of(adapter: &wgpu::Adapter) -> Option<Self> {
         use wgpu::CooperativeScalarType::{F16, F32};
         if !adapter.features().contains(COOPERATION) {

@@ -1,6 +1,6 @@
 //! The device, independent of the stages that compute on it. A [`Gpu`] is an opened adapter; a [`Buffer`] is an array on
-//! it. A [`Kernel`] is composed of [`Source`]s, among them structs and constants that Rust and WGSL share; its
-//! [`Pipeline`] is found once and dispatched with [`Bind`]ings, parameters and a [`Size`]. Dispatches are recorded and
+//! it. A [`Kernel`] is composed of [`Source`]s, among them structs and constants that Rust and WGSL share; a stage looks
+//! up its [`Pipeline`] once, and dispatches it with [`Bind`]ings, parameters and a [`Size`]. Dispatches are recorded and
 //! submitted together; a [`Receipt`] is a pending copy to the host.
 
 #[macro_use]
@@ -36,7 +36,7 @@ pub use rows::{BLOCK, Rows};
 pub use shared::{Layout, Member, Shared, Wgsl};
 pub use source::{Source, Value};
 
-/// The kernels of this folder, for validation.
+/// Returns the kernels of this folder, for validation.
 #[cfg(test)]
 pub fn all() -> Vec<Kernel> {
     vec![recorder::arguments(), ceilings::peak()]

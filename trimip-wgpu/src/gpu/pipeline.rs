@@ -1,5 +1,5 @@
-//! Compute pipelines. A stage finds the pipelines of its kernels once, when it is built; each is compiled at its first
-//! dispatch.
+//! Compute pipelines. A stage looks up the pipelines of its kernels once, when the stage is built. Each pipeline is
+//! compiled at its first dispatch.
 
 use super::bind::MOST_BUFFERS;
 use super::kernel::{Access, Kernel};
@@ -30,44 +30,44 @@ pub struct Compiled {
 }
 
 impl Pipeline {
-    /// A kernel that is not compiled yet.
+    /// Creates a pipeline that is not compiled yet.
     pub fn new(kernel: Kernel) -> Self {
         let buffers = kernel.bindings().iter().filter(|(_, access)| *access != Access::Parameters).count();
         Self(Arc::new(Prepared { kernel, buffers, compiled: OnceLock::new() }))
     }
 
-    /// Name of the entry point.
+    /// Returns the name of the entry point.
     pub fn entry(&self) -> &'static str {
         self.0.kernel.entry
     }
 
-    /// Binding numbers and their access, in order.
+    /// Returns the binding numbers and their access, in order.
     pub fn bindings(&self) -> &[(u32, Access)] {
         self.0.kernel.bindings()
     }
 
-    /// Number of bindings of buffers.
+    /// Returns the number of bindings of buffers.
     pub fn buffers(&self) -> usize {
         self.0.buffers
     }
 
-    /// True if the kernel's WGSL has a struct of this layout.
+    /// Returns true if the kernel's WGSL has a struct of this layout.
     pub fn has_layout(&self, layout: &Layout) -> bool {
         self.0.kernel.layouts().any(|own| own == layout)
     }
 
-    /// The compiled kernel.
+    /// Returns the compiled kernel. The first call compiles it.
     pub fn compiled(&self, device: &wgpu::Device) -> &Compiled {
         self.0.compiled.get_or_init(|| compile(device, &self.0.kernel))
     }
 }
 
-/// The pipelines of a device, so that equal kernels are compiled once.
+/// The pipelines of a device. Equal kernels share a pipeline, so that they are compiled only once.
 #[derive(Default)]
 pub struct Pipelines(Mutex<Vec<Pipeline>>);
 
 impl Pipelines {
-    /// The pipeline of a kernel.
+    /// Returns the pipeline of a kernel, and creates it if no equal kernel has one.
     pub fn of(&self, kernel: Kernel) -> Pipeline {
         let mut counters = lock(&self.0);
         if let Some(same) = counters.iter().find(|pipeline| pipeline.0.kernel == kernel) {

@@ -54,7 +54,8 @@ impl Gpu {
         self.collect(&receipt, polled && mapping.settle(|| self.poll(wgpu::PollType::Poll)))
     }
 
-    /// As [`Gpu::redeem`], without blocking: the future is pending until the device has executed the copy.
+    /// Returns the copied values as [`Gpu::redeem`] does, without blocking: the future is pending until the device has
+    /// executed the copy.
     pub async fn redeem_async<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
         {
             let mut recorder = self.recorder();
@@ -67,7 +68,8 @@ impl Gpu {
         self.collect(&receipt, mapped)
     }
 
-    /// Copies the values out of the receipt's buffer, if it was mapped.
+    /// Copies the values out of the receipt's buffer. If the buffer could not be mapped, records a failure and returns
+    /// zeros.
     fn collect<T: Pod>(&self, receipt: &Receipt<T>, mapped: bool) -> Vec<T> {
         if !mapped {
             lock(&self.failure).get_or_insert_with(|| "a buffer could not be read back".into());

@@ -11,7 +11,7 @@ use std::array::from_fn;
 use std::collections::VecDeque;
 use std::num::NonZeroU64;
 
-/// Bytes between the parameters of two dispatches: an alignment that every device supports.
+/// Bytes from the parameters of one dispatch to those of the next: an alignment that every device supports.
 const PARAMETERS_STRIDE: usize = 512;
 
 /// Maximum number of dispatches per submission. Longer work is submitted in several parts.
@@ -20,13 +20,14 @@ const DISPATCHES: usize = 2048;
 /// Bytes of the arguments of an indirect dispatch.
 const SIZES: u64 = 16;
 
-/// Number of submissions that are remembered, so that the host can wait for one without waiting for later ones.
+/// Number of submissions that are remembered, so that the host can wait for one of them without waiting for later
+/// submissions.
 const REMEMBERED: usize = 16;
 
 shared! {
     /// Parameters of the kernel that computes the arguments of an indirect dispatch.
     struct Arguments as Params {
-        /// The number of items is counts[counter] · per; `times` workgroups cover every `group` items.
+        /// The number of items is counts[counter] · per. For every `group` items there are `times` workgroups.
         counter: u32,
         per: u32,
         group: u32,
@@ -36,7 +37,7 @@ shared! {
     }
 }
 
-/// The kernel that computes the arguments of an indirect dispatch.
+/// Returns the kernel that computes the arguments of an indirect dispatch.
 pub fn arguments() -> Kernel {
     let sources = [
         Source::of::<Arguments>(),
@@ -51,28 +52,28 @@ pub fn arguments() -> Kernel {
 pub struct Recorder {
     device: wgpu::Device,
     encoder: Option<wgpu::CommandEncoder>,
-    /// Parameters of the dispatches, one per stride.
+    /// Parameters of the recorded dispatches, [`PARAMETERS_STRIDE`] bytes each.
     parameters: Vec<u8>,
     uniforms: wgpu::Buffer,
     /// Arguments of indirect dispatches.
     sizes: wgpu::Buffer,
     indirect: u32,
     arguments: Pipeline,
-    /// Number of the submission being recorded.
+    /// Number of the submission that is being recorded.
     pub number: u64,
     /// The latest submissions, newest last.
     pub submitted: VecDeque<(u64, wgpu::SubmissionIndex)>,
 }
 
-/// Workgroups of a dispatch.
+/// Numbers of workgroups of a dispatch.
 enum Groups {
     DeviceCounters(u32, u32),
-    /// Byte offset of the arguments.
+    /// Numbers on the device: byte offset of the arguments.
     Counted(u64),
 }
 
 impl Recorder {
-    /// A recorder without work.
+    /// Creates a recorder without work.
     pub fn new(device: &wgpu::Device, arguments: Pipeline) -> Self {
         let buffer = |label, size, usage| {
             device.create_buffer(&wgpu::BufferDescriptor {
@@ -103,12 +104,12 @@ impl Recorder {
         }
     }
 
-    /// The encoder of the commands.
+    /// Returns the command encoder, and creates it if there is none.
     pub fn encoder(&mut self) -> &mut wgpu::CommandEncoder {
         self.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
     }
 
-    /// True if there is no room for another dispatch.
+    /// Returns true if there is no room for another dispatch.
     pub fn is_full(&self) -> bool {
         self.parameters.len() >= (DISPATCHES - 1) * PARAMETERS_STRIDE
     }
@@ -142,7 +143,8 @@ impl Recorder {
     }
 
     fn record<P: Shared>(&mut self, pipeline: &Pipeline, binds: &[Bind<'_>], parameters: &P, groups: Groups) {
-        // Kernel and call are written side by side in this crate, and every kernel runs in the tests.
+        // A kernel and its calls are next to each other in this crate, and the tests run every kernel, so these
+        // assertions hold.
         assert_eq!(binds.len(), pipeline.buffers(), "{}: bindings", pipeline.entry());
         debug_assert!(pipeline.has_layout(&P::LAYOUT), "{}: parameters", pipeline.entry());
         let offset = self.parameters.len();

@@ -1,4 +1,4 @@
-//! The number of rows that a kernel works on: a counter on the device, whether device or host determined the number.
+//! The number of rows that a kernel works on: always a counter on the device, even if the host determined the number.
 
 use super::bind::{Bind, Size};
 use super::buffer::Buffer;
@@ -18,7 +18,7 @@ pub struct Rows {
 }
 
 impl Rows {
-    /// The rows of an array of samples. If their number is on the host, it is written to `own`.
+    /// Returns the rows of an array of samples. If their number is on the host, it is written to `own` on the device.
     pub fn of<T: Pod>(samples: &Buffer<T>, own: &mut Buffer<u32>) -> Self {
         match samples.counter() {
             Some((counts, counter)) => Self { counts: counts.clone(), counter, capacity: samples.most() },
@@ -35,12 +35,12 @@ impl Rows {
         array.count_by(self.capacity.next_multiple_of(BLOCK) * width, &self.counts, self.counter, width);
     }
 
-    /// A dispatch of `per` invocations per row, in workgroups of `group`.
+    /// Returns the size of a dispatch of `per` invocations per row, in workgroups of `group`.
     pub fn dispatch(&self, per: u32, group: u32) -> Size<'_> {
         Size::Counted { counts: &self.counts, counter: self.counter, per, group, times: 1 }
     }
 
-    /// A dispatch of `times` workgroups for every `tile` rows.
+    /// Returns the size of a dispatch of `times` workgroups for every `tile` rows.
     pub fn tiles(&self, tile: u32, times: u32) -> Size<'_> {
         Size::Counted { counts: &self.counts, counter: self.counter, per: 1, group: tile, times }
     }

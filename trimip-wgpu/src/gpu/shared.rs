@@ -4,7 +4,7 @@
 use bytemuck::Pod;
 use std::fmt::Write;
 
-/// A type of Rust that WGSL has as well.
+/// A Rust type that has a counterpart in WGSL.
 pub trait Wgsl {
     /// Its name in WGSL.
     const TYPE: &'static str;
@@ -37,11 +37,11 @@ types! {
 /// A member of a shared struct.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Member {
-    /// Its name.
+    /// Name of the member.
     pub name: &'static str,
-    /// Its type in WGSL.
+    /// Type of the member in WGSL.
     pub kind: &'static str,
-    /// Its offset in bytes within the Rust struct.
+    /// Offset of the member within the Rust struct, in bytes.
     pub offset: usize,
 }
 
@@ -50,14 +50,14 @@ pub struct Member {
 pub struct Layout {
     /// Its name in WGSL.
     pub name: &'static str,
-    /// Its size in bytes in Rust.
+    /// Size of the struct in Rust, in bytes.
     pub size: usize,
-    /// Its members, in order.
+    /// Members of the struct, in order.
     pub members: &'static [Member],
 }
 
 impl Layout {
-    /// The text of the WGSL struct.
+    /// Returns the text of the WGSL struct.
     pub fn text(&self) -> String {
         let mut text = format!("struct {} {{\n", self.name);
         for Member { name, kind, .. } in self.members {
@@ -69,6 +69,6 @@ impl Layout {
 
 /// A struct that Rust and WGSL share.
 pub trait Shared: Pod {
-    /// Its layout.
+    /// Layout of the struct.
     const LAYOUT: Layout;
 }

@@ -1,5 +1,5 @@
 //! The parts of WGSL that a kernel is composed of: text, generated structs and generated constants. A part names the
-//! parts that it needs, and each appears once in a kernel.
+//! parts that it needs, and each part appears only once in a kernel.
 
 use super::shared::{Layout, Shared};
 
@@ -28,22 +28,22 @@ pub enum Value {
 }
 
 impl Source {
-    /// The struct `T`.
+    /// Returns the part that defines the struct `T`.
     pub const fn of<T: Shared>() -> Self {
         Self::Struct(const { &T::LAYOUT })
     }
 
-    /// A constant of type `u32`.
+    /// Returns the part that defines a constant of type `u32`.
     pub const fn whole(name: &'static str, value: u32) -> Self {
         Self::Constant(name, Value::Whole(value))
     }
 
-    /// A constant of type `f32`.
+    /// Returns the part that defines a constant of type `f32`.
     pub const fn real(name: &'static str, value: f32) -> Self {
         Self::Constant(name, Value::Real(value))
     }
 
-    /// Appends this part to `parts`, piece by piece. Pieces that `parts` already contains are skipped.
+    /// Appends this part to `parts`, without nesting. Parts that `parts` already contains are skipped.
     pub fn flatten(self, parts: &mut Vec<Self>) {
         match self {
             Self::Parts(own) => own.iter().for_each(|part| part.flatten(parts)),
@@ -52,7 +52,7 @@ impl Source {
         }
     }
 
-    /// The text of a single piece.
+    /// Returns the WGSL text of this part.
     pub fn text(self) -> String {
         match self {
             Self::Text(text) => text.to_string(),

@@ -1,4 +1,4 @@
-//! Cones of pixels, of pinholes and of lenses that bend rays.
+//! Checks the cones of pixels, for pinhole cameras and for lenses that bend rays.
 
 use super::{compare, files};
 use crate::gpu::Source;
@@ -23,8 +23,8 @@ fn spheres_in_cones() {
 
 #[test]
 fn cones_of_pixels() {
-    // The view's rotation has no zero entries; x is pixel x, pixel y, the index of the part and the parts along a
-    // side.
+    // The view's rotation mixes all axes. An input holds pixel x, pixel y, the index of the pixel's part, and the
+    // number of parts along a side.
     let intrinsics =
         Intrinsics { width: 64, height: 48, fx: 60.0, fy: 50.0, cx: 31.0, cy: 25.5, ..Intrinsics::default() };
     let rotation = DMat3::from_cols_array(&[0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6]);
@@ -48,7 +48,7 @@ fn cones_of_pixels() {
     );
 }
 
-/// Compares the cones of `lens` with those of the WGSL in `files`, which states the same lens.
+/// Compares the cones of `lens` with the cones that the WGSL in `files` computes; it states the same lens.
 fn bent(files: &[Source], lens: Lens) {
     let intrinsics = Intrinsics { width: 64, height: 48, fx: 40.0, fy: 42.0, cx: 31.0, cy: 25.5, lens };
     let camera = Camera { intrinsics, rotation: DMat3::IDENTITY, origin: DVec3::ZERO };

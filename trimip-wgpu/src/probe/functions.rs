@@ -1,4 +1,4 @@
-//! Functions of one value: activations, losses, harmonics, levels, fixed point and random numbers.
+//! Checks functions of one value: activations, losses, harmonics, levels, fixed point and random numbers.
 
 use super::{compare, directions, files, gpu, numbers, run, singles};
 use crate::encoders::tri_mip::TRI_MIP;
@@ -74,7 +74,7 @@ fn photometric_terms() {
         let [a, b, c] = term.numbers(&config.loss);
         let call = format!("{}(x.x, vec3<f32>({a:?}, {b:?}, {c:?}))", term.name());
         let body = format!("fn probe(x: vec4<f32>) -> vec4<f32> {{ return vec4<f32>({call}, 0.0, 0.0); }}\n");
-        // The text of a part lives as long as the program.
+        // The text is leaked, because the text of a part must live as long as the program.
         compare(
             &[Text(PENALTIES), Text(body.leak())],
             &singles(|_| true),
@@ -149,7 +149,7 @@ fn levels_and_texels() {
         },
         (1e-6, 0.0),
     );
-    // At the border, between texels, and beyond either end.
+    // Positions at the border, between texels, and beyond the outermost texel centres.
     let places: Vec<[f32; 4]> = [0.0, 0.003, 0.01, 0.3, 0.5, 0.77, 0.998, 1.0]
         .into_iter()
         .flat_map(|a| [0.0_f32, 0.12, 0.999, 1.0].map(|b| [a, b, 0.0, 0.0]))
@@ -176,7 +176,8 @@ fn levels_and_texels() {
 
 #[test]
 fn fixed_point_there_and_back() {
-    // 30 fractional bits. A sum of two values of either sign is right whichever words carry.
+    // Fixed point has 30 fractional bits. Sums of two values of either sign must be right whether the low words carry
+    // or not.
     compare(
         files!(FIXED; "let a = to_fixed(x.x); let b = to_fixed(x.y); let low = a.x + b.x; let high = a.y + b.y + select(0u, 1u, low < a.x); return vec4<f32>(from_fixed(a), from_fixed(negated(a)), from_fixed(vec2<u32>(low, high)), 0.0);"),
         &numbers()
@@ -211,7 +212,8 @@ fn random_numbers_are_the_same_integers() {
         assert_eq!(found[0] as u32 * 65_536 + found[1] as u32, expected, "below({bits}, {count})");
         assert_eq!(found[2], rng::unit(bits));
     }
-    // The hash itself, on words passed in the same way. The upper 24 bits of four numbers are exact floats.
+    // Checks the hash itself, on words that are passed in the same way. The upper 24 bits of its four numbers are
+    // compared, because floats represent them exactly.
     let words: Vec<[u32; 4]> =
         (0..50).map(|step| rng::Random::new(step).at(rng::Sequence::Cell, step).words()).collect();
     let inputs: Vec<[f32; 4]> = words.iter().map(|words| words.map(f32::from_bits)).collect();

@@ -1,5 +1,5 @@
 //! Compares every scalar function of the shaders, on one table of inputs, with the function of the same name in f64. Each
-//! probe is a kernel of the parts that it needs and of one function, which is called on every input.
+//! probe is a kernel that consists of the parts that it needs and of one function, which is called on every input.
 
 mod cameras;
 mod functions;
@@ -33,7 +33,7 @@ shared! {
     }
 }
 
-/// The parts and the function body of a probe.
+/// Lists the parts of a probe, and its function `probe` with the given body.
 macro_rules! files {
     ($($part:expr),+; $body:literal) => {
         &[
@@ -45,7 +45,7 @@ macro_rules! files {
 
 use files;
 
-/// The device for the tests; `None` if there is none and none is required.
+/// Returns the device for the tests; `None` if there is no device and none is required.
 pub(crate) fn gpu() -> Option<Arc<Gpu>> {
     if crate::adapters().is_empty() {
         assert!(std::env::var_os("TRIMIP_REQUIRE_GPU").is_none(), "a GPU is required, there is no adapter");
@@ -67,8 +67,8 @@ fn run(gpu: &Arc<Gpu>, files: &[Source], inputs: &[[f32; 4]]) -> Vec<[f32; 4]> {
     found
 }
 
-/// Compares a function of floats with one in f64: |found − expected| ≤ absolute + relative · |expected|. Nothing is
-/// compared where the expected value is not finite in f32.
+/// Compares a shader function with a function in f64: |found − expected| ≤ absolute + relative · |expected|. Values
+/// whose expected value is not finite in f32 are skipped.
 fn compare(
     files: &[Source],
     inputs: &[[f32; 4]],
@@ -92,7 +92,7 @@ fn compare(
     }
 }
 
-/// Numbers of all magnitudes and both signs.
+/// Returns numbers of all magnitudes and both signs.
 fn numbers() -> Vec<f32> {
     let mut numbers = vec![0.0];
     for exponent in -30..=30 {
@@ -108,7 +108,7 @@ fn singles(keep: impl Fn(f32) -> bool) -> Vec<[f32; 4]> {
     numbers().into_iter().filter(|&x| keep(x)).map(|x| [x, 0.0, 0.0, 0.0]).collect()
 }
 
-/// Unit directions all over the sphere.
+/// Returns unit directions all over the sphere.
 fn directions() -> Vec<[f32; 4]> {
     let direction = |i: u8| {
         let (z, angle) = (1.0 - (f32::from(i) + 0.5) / 50.0, 2.4 * f32::from(i));

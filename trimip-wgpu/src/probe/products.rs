@@ -1,4 +1,4 @@
-//! Products of matrices, exact on whole numbers, and the peak rates of the device.
+//! Checks products of matrices, which are exact on whole numbers, and the peak rates of the device.
 
 use super::gpu;
 use crate::gpu::{Binds, Buffer, Ceilings, Rows, Size};
@@ -8,17 +8,17 @@ use trimip_core::math::rng;
 /// The first counter.
 const FIRST: Counter = Counter { counter: 0 };
 
-/// Small whole numbers: f16 represents them exactly, and f32 their products and sums.
+/// Returns small whole numbers. f16 represents them exactly, and f32 represents their products and sums exactly.
 fn whole(count: usize, seed: u64) -> Vec<f32> {
     let draws = rng::Random::new(seed).at(rng::Sequence::Pixel, 0);
     (0..count as u32).map(|i| rng::below(draws.bits(i)[0], 17) as f32 - 8.0).collect()
 }
 
-/// Packs two f16 numbers into a word; the values are whole numbers of at most 8.
+/// Packs pairs of values into words of two f16; the values are whole numbers of at most 8.
 fn halves(values: &[f32]) -> Vec<u32> {
     let half = |x: f32| {
         let bits = x.to_bits();
-        // Sign, exponent minus 112, upper 10 of 23 mantissa bits; zero is zero.
+        // Keeps the sign, the exponent minus 112, and the upper 10 of 23 mantissa bits; zero stays zero.
         if x == 0.0 {
             0
         } else {
@@ -28,8 +28,8 @@ fn halves(values: &[f32]) -> Vec<u32> {
     values.chunks_exact(2).map(|pair| half(pair[0]) | half(pair[1]) << 16).collect()
 }
 
-/// Products and weight gradients of matrices, in f32 and, if the device has them, with cooperative matrices. Both are
-/// exact on whole numbers.
+/// Checks products and weight gradients of matrices, in f32 and, if the device has them, with cooperative matrices.
+/// Both must be exact on whole numbers.
 #[test]
 fn products_of_matrices_are_exact_on_whole_numbers() {
     let Some(gpu) = gpu() else { return };

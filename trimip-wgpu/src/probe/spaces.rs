@@ -1,4 +1,4 @@
-//! Rays through the bounded and the contracted space.
+//! Checks rays through the bounded and the contracted space.
 
 use super::{compare, directions, files};
 use crate::space::SPACE;
@@ -22,7 +22,8 @@ fn rays_through_the_space() {
         },
         (3e-7, 2e-6),
     );
-    // Enter, leave, and the exit of a block of four cells; all divide by a component of the direction.
+    // The parameters at which a ray enters and leaves the space, and leaves a block of four cells. All of them divide
+    // by a component of the direction.
     let near = Space::of(Aabb { min: [-1.0_f32, 2.0, 0.5], max: [3.0, 4.0, 1.5] });
     compare(
         files!(SPACE; "let space = Space(vec3<f32>(-1.0, 2.0, 0.5), 16u, vec3<f32>(3.0, 4.0, 1.5), 4.0, vec3<f32>(0.25, 0.5, 1.0), 0.0, vec3<f32>(0.25, 0.125, 0.0625), 0.0); let ray = Ray(vec3<f32>(0.1, 2.9, 0.8), 0.03, x.xyz, 1.0, 0.0); let cell = cell_of(space, sphere_at(space, ray, x.w).xyz); return vec4<f32>(intersect(space, ray), cells_exit(space, ray, cell, 4u), 0.0);"),
@@ -39,8 +40,8 @@ fn rays_through_the_space() {
     );
 }
 
-/// A contracted space around a ball of radius 1.25 at (0.5, 3, 1), and rays in one direction from places within the ball,
-/// near it and far away.
+/// Checks a contracted space around a ball of radius 1.25 at (0.5, 3, 1), with rays in one direction from points within
+/// the ball, near it and far away.
 #[test]
 fn rays_through_a_contracted_space() {
     let space = Space::contracted(Aabb { min: [-2.0, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
@@ -82,7 +83,7 @@ fn rays_through_a_contracted_space() {
         },
         (2e-5, 1e-4),
     );
-    // Place and width of a sample, and the same without contraction.
+    // Parameter of a sample's midpoint along the ray, and the sample's width, with and without contraction.
     let bounded = Space::of(Aabb { min: [-2.0, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(
         files!(SPACE; "var space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let curved = along(space, parameterisation_of(space, ray), ray, x.w, 0.25); space.ball = 0.0; return vec4<f32>(curved, along(space, parameterisation_of(space, ray), ray, x.w, 0.25));"),
@@ -96,7 +97,7 @@ fn rays_through_a_contracted_space() {
         },
         (2e-6, 1e-4),
     );
-    // The parameter up to which a block of four cells is clear.
+    // The ray parameter up to which a ray surely stays within a block of four cells.
     let near = Space::contracted(Aabb { min: [-2.0_f32, 0.5, -1.5], max: [3.0, 5.5, 3.5] });
     compare(
         files!(SPACE; "let space = Space(vec3<f32>(-2.0, 0.5, -1.5), 16u, vec3<f32>(3.0, 5.5, 3.5), 5.0, vec3<f32>(0.2), 1.25, vec3<f32>(0.3125), 0.3125); let ray = Ray(x.xyz, 0.03, vec3<f32>(0.48, -0.6, 0.64), 1.0, 0.0); let parameterisation = parameterisation_of(space, ray); let position = to_cube(space, ray.origin); return vec4<f32>(cells_clear(space, x.w, position, cell_of(space, position), 4u), 0.0, 0.0, 0.0);"),

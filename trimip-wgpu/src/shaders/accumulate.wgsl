@@ -1,6 +1,6 @@
-// Weight gradients: partial[chunk] = Aᵀ·D over the rows of a chunk; A has K columns, D has N. A workgroup computes a
-// tile of 16·TK by 16·TN of one chunk; `reduce` adds the chunks in order. No atomics are used, so the result is
-// bit-identical in every run.
+// Weight gradients: partial[chunk] = Aᵀ·D over the rows of a chunk; A has K columns, D has N columns. A workgroup
+// computes a tile of 16·TK by 16·TN of one chunk; `reduce` adds up the chunks in order. No atomics are used, so the
+// result is bit-identical in every run.
 
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> right: array<f32>;

@@ -1,6 +1,6 @@
-// Weight gradients with cooperative matrices: partial[chunk] = Aᵀ·D over the rows of a chunk; A has K columns, D has
-// N. Each subgroup computes T rows by T·TN columns of one chunk. D is multiplied by SCALE so that small gradients do
-// not underflow in f16; `reduce` adds the chunks in order and divides by SCALE.
+// Weight gradients with cooperative matrices: partial[chunk] = Aᵀ·D over the rows of a chunk; A has K columns, D has N
+// columns. Each subgroup computes T rows by T·TN columns of one chunk. D is multiplied by SCALE so that small gradients
+// do not underflow in f16; `reduce` adds the chunks in order and divides by SCALE.
 
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> right: array<f32>;
@@ -61,7 +61,7 @@ fn accumulate(
         }
         workgroupBarrier();
         for (var p = 0u; p < depth; p += T) {
-            // Column-major load: the transpose.
+            // A column-major load gives the transpose.
             let a = coopLoad<Left>(&left_tile[p * HEIGHT + subgroup * T], HEIGHT);
             for (var j = 0u; j < TN; j++) {
                 let b = coopLoadT<Right>(&right_tile[p * WIDTH + j * T], WIDTH);

@@ -1,4 +1,4 @@
-// Mirrors `trimip_core::field::activation`. The functions of density take the logit minus its shift.
+// Mirrors `trimip_core::field::activation`. The density functions take the logit minus the configured shift.
 
 fn density_of(kind: u32, x: f32) -> f32 {
     if kind == EXP {
@@ -6,7 +6,7 @@ fn density_of(kind: u32, x: f32) -> f32 {
     }
     if kind == SOFTPLUS {
         let e = exp(-abs(x));
-        // ln(1 + e) by its series where 1 + e loses the digits of e.
+        // Computes ln(1 + e) from its series where 1 + e would lose the digits of e.
         let series = e * (1.0 - e * (1.0 / 2.0 - e * (1.0 / 3.0 - 0.25 * e)));
         return max(x, 0.0) + select(log(1.0 + e), series, e < 0.03);
     }
@@ -23,7 +23,7 @@ fn density_derivative(kind: u32, x: f32) -> f32 {
     return select(0.0, 1.0, x > 0.0);
 }
 
-// Logistic function, in a form that never overflows.
+// Returns the logistic function, in a form that never overflows.
 fn sigmoid(logit: f32) -> f32 {
     let e = exp(-abs(logit));
     let positive = 1.0 / (1.0 + e);

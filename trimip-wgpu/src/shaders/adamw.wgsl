@@ -1,12 +1,12 @@
-// AdamW; mirrors `trimip_core::field::adamw::Rule`, four parameters per invocation. If the step has no weight, nothing
-// changes.
+// AdamW; mirrors `trimip_core::field::adamw::Rule`, four parameters per invocation. If the loss weights of a step sum
+// to 0, nothing changes.
 
 @group(0) @binding(0) var<storage, read_write> parameters: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read> gradients: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read_write> first_moments: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> second_moments: array<vec4<f32>>;
-// The second value is the sum of the weights.
+// The second value is the sum of the loss weights.
 @group(0) @binding(5) var<storage, read> sums: array<f32>;
 @group(0) @binding(6) var<storage, read_write> skipped: array<atomic<u32>>;
 
@@ -48,7 +48,7 @@ fn update(
             continue;
         }
         let raw_gradient = gradient[c];
-        // The square overflows f32 or is NaN.
+        // Skips a gradient whose square overflows f32 or is NaN.
         if (bitcast<u32>(raw_gradient * raw_gradient) & 0x7f800000u) == 0x7f800000u {
             atomicAdd(&skipped[0], 1u);
             continue;

@@ -1,4 +1,4 @@
-// Adds to texel gradients with the device's f32 atomics, in any order.
+// Adds to gradients with the device's f32 atomics, in any order.
 @group(0) @binding(3) var<storage, read_write> base: array<atomic<f32>>;
 @group(0) @binding(4) var<storage, read_write> derived: array<atomic<f32>>;
 

@@ -1,4 +1,4 @@
-// Adds to f32 texel gradients by compare-and-exchange of their bits, in any order. Every device supports it.
+// Adds to f32 gradients with a compare-and-exchange of their bits, in any order. Every device supports this operation.
 @group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;
 

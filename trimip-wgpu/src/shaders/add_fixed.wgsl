@@ -1,4 +1,4 @@
-// Adds to texel gradients in fixed point. The high word is written only if it changes. Values that do not fit are
+// Adds to gradients in fixed point. The high word of a sum is written only if it changes. Values that do not fit are
 // left out and counted.
 @group(0) @binding(3) var<storage, read_write> base: array<atomic<u32>>;
 @group(0) @binding(4) var<storage, read_write> derived: array<atomic<u32>>;

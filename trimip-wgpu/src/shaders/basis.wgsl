@@ -1,4 +1,5 @@
-// Two unit vectors that are orthogonal to a unit vector and to each other; mirrors `trimip_core::math::basis`.
+// Returns two unit vectors that are orthogonal to the unit vector `d` and to each other; mirrors
+// `trimip_core::math::basis`.
 fn across(d: vec3<f32>) -> array<vec3<f32>, 2> {
     let side = select(1.0, -1.0, d.z < 0.0);
     let a = -1.0 / (side + d.z);

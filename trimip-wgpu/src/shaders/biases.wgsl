@@ -1,5 +1,5 @@
-// Biases of a layer with rows of `width` outputs: `spread` writes them to every row, `sum_rows` adds up the rows of a
-// gradient in chunks.
+// Biases of a layer with rows of `width` outputs: `spread` writes the biases to every row, `sum_rows` adds up the rows
+// of a gradient in chunks.
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
 @group(0) @binding(2) var<uniform> params: Params;
@@ -18,7 +18,7 @@ fn spread(
     }
 }
 
-// One invocation per column of a chunk; the chunks are those of weight gradients.
+// One invocation per column of a chunk; there are as many chunks as for weight gradients.
 @compute @workgroup_size(GROUP)
 fn sum_rows(
     @builtin(workgroup_id) group: vec3<u32>,

@@ -5,7 +5,7 @@ struct Bit {
     bit: u32,
 }
 
-// Bit of an item in a grid of `blocks` blocks along each side.
+// Returns the bit of an item, a cell or a block, in a grid of `blocks` blocks along each side.
 fn bit_of(item: vec3<u32>, blocks: u32) -> Bit {
     let block = item / SIDE;
     let within = item % SIDE;

@@ -1,11 +1,11 @@
-// Cameras and the cones of their pixels; mirrors `trimip_core::geometry::camera`. Needs `cone_of_model` of the registry of camera
-// models (`projections.rs`).
+// Cameras and the cones of their pixels; mirrors `trimip_core::geometry::camera`. Needs `cone_of_model` from the registry of
+// camera models (`projections.rs`).
 
 const PI: f32 = 3.14159265358979;
 
 // A cone in its camera's axes.
 struct LocalCone {
-    // Start of the cone's ray: the origin, unless rays are parallel.
+    // Start of the cone's ray: the origin, unless the camera's rays are parallel.
     origin: vec3<f32>,
     // Radius of the sphere at `origin`.
     radius: f32,
@@ -16,18 +16,18 @@ struct LocalCone {
     cosine: f32,
 }
 
-// The cone of rays that meet at the origin.
+// Returns the cone of a camera whose rays meet at the origin.
 fn central_cone(axis: vec3<f32>, inverse_length: f32, slope: f32, cosine: f32) -> LocalCone {
     return LocalCone(vec3<f32>(0.0), 0.0, axis, inverse_length, slope, cosine);
 }
 
-// The cone of a pixel without a ray: it has no direction and meets nothing.
+// Returns the cone of a pixel without a ray: it has no direction and meets nothing.
 fn no_cone() -> LocalCone {
     return central_cone(vec3<f32>(0.0), 1.0, 0.0, 0.0);
 }
 
-// The cone of a square part of a pixel, from the derivatives of its ray with respect to the place in the image; mirrors
-// `LocalRay::cone`.
+// Returns the cone of a square part of a pixel, computed from the derivatives of its ray with respect to the position
+// in the image; mirrors `LocalRay::cone`.
 fn cone_of_ray(
     origin: vec3<f32>,
     direction: vec3<f32>,
@@ -44,7 +44,8 @@ fn cone_of_ray(
     return LocalCone(origin, sizes.x, direction, 1.0, sizes.y, cosine);
 }
 
-// The cone of a square part of a pixel, given its centre and its side in pixels. A pixel without a ray has no direction.
+// Returns the cone of a square part of a pixel, given the part's centre and its side in pixels. The cone of a pixel
+// without a ray has no direction.
 fn project(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     if view.lens == 0u {
         return cone_through((at - view.intrinsics.zw) / view.intrinsics.xy, side * view.disc);
@@ -52,12 +53,12 @@ fn project(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     return cone_of_model(view, at, side);
 }
 
-// Number of cones of a pixel.
+// Returns the number of cones of a pixel.
 fn cones_in(side: u32) -> u32 {
     return select(side * side, 5u, side == QUINCUNX);
 }
 
-// Cone number `index` of the side * side parts of a pixel, or of its quincunx.
+// Returns cone number `index` of a pixel that is divided into side * side parts, or into a quincunx.
 fn cone_in(view: View, x: u32, y: u32, index: u32, side: u32) -> Ray {
     var part = 1.0 / f32(side);
     var within = part * (vec2<f32>(f32(index % side), f32(index / side)) + 0.5);

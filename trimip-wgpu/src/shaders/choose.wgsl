@@ -1,20 +1,21 @@
-// Choosing samples by the proxy of the model (hybrid rendering). `count` walks each ray and counts its samples. After the
-// counts are summed, `fill` walks it again and writes them. If the proxy is unsure of a ray, the ray gets the samples of
-// volume rendering. Mirrors `trimip_core::engine::proxy::Chooser` and the CPU's hybrid renderer.
+// Chooses samples with the proxy of the model (hybrid rendering). `count` walks each ray and counts its samples. After a
+// prefix sum of the counts, `fill` walks each ray again and writes its samples. A ray that is too wide for the proxy gets
+// the samples of volume rendering. Mirrors `trimip_core::engine::proxy::Chooser` and the CPU's hybrid renderer.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
-// 1 for each ray that the proxy is sure of.
+// 1 for each ray whose samples the proxy chooses, 0 for each ray that is too wide.
 @group(0) @binding(1) var<storage, read_write> sure: array<u32>;
 @group(0) @binding(2) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(3) var<uniform> params: Params;
 @group(0) @binding(5) var<storage, read_write> owners: array<u32>;
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
-// Optical depth and opacity of a step for each code (floats), then one word per brick, then eight codes per
-// word.
+// For each code, the optical depth and opacity of a step (floats); then one word per brick; then the cells' codes,
+// eight per word.
 @group(0) @binding(8) var<storage, read> proxy: array<u32>;
 
-// A step that represents others: its middle, its predicted optical depth, and the optical depth of all of them.
+// A step that represents a group of steps: its midpoint, its predicted optical depth, and the optical depth of the
+// group.
 struct Chosen {
     t: f32,
     own: f32,
@@ -26,18 +27,19 @@ struct Walker {
     // Index of the next step.
     index: f32,
     transmittance: f32,
-    // Weight of the steps that were left out since the last sample, and the heaviest of them.
+    // Weight of the steps that were left out since the last sample, and the step of largest optical depth among them.
     light: f32,
     lent: Chosen,
-    // The last sample; it is returned when the next one is found.
+    // The last sample, which is returned when the next sample is found.
     held: Chosen,
     holds: bool,
     ended: bool,
     sure: bool,
     // The sample that was found.
     found: Chosen,
-    // For the rule of layers: the number of layers so far, the last step in a surface, the layer that is being filled
-    // (its next sample, the length of a sample, its end), and how many of its samples are left.
+    // For the rule of layers: the number of layers so far, and the distance of the last step in a surface; then, of the
+    // layer that is being filled, the distance of its next sample, the length of its samples, its end, and the number
+    // of samples that are left.
     layers: u32,
     dense: f32,
     next: f32,
@@ -52,7 +54,7 @@ fn walk(ray: Ray) -> Walker {
     return Walker(m, 0.0, 1.0, 0.0, none, none, false, false, true, none, 0u, -FAR, 0.0, 0.0, -FAR, 0u);
 }
 
-// Code of the proxy's cell at a position in the cube.
+// Returns the code of the proxy's cell at a position in the cube.
 fn code_at(position: vec3<f32>) -> u32 {
     let scaled = max(position * vec3<f32>(params.cells), vec3<f32>(0.0));
     let cell = min(vec3<u32>(scaled), params.cells - 1u);
@@ -67,7 +69,7 @@ fn code_at(position: vec3<f32>) -> u32 {
     return (proxy[params.codes + at / 8u] >> (4u * (at % 8u))) & 0xfu;
 }
 
-// Finds the next sample of a ray. Returns false at its end, and where the proxy is unsure.
+// Finds the next sample of a ray. Returns false at the end of the ray, and where the ray is too wide for the proxy.
 fn next_sample(ray: Ray, walker: ptr<function, Walker>) -> bool {
     var w = *walker;
     var found = false;

@@ -13,7 +13,7 @@
 // Colour, opacity and depth of each cone.
 @group(0) @binding(8) var<storage, read_write> cones: array<f32>;
 
-// Colour on the background, opacity and depth of a cone.
+// Returns the colour of a cone on the background, its opacity and its depth.
 fn composite_cone(cone: u32, background: vec3<f32>) -> array<f32, PIXEL_FLOATS> {
     let segment = segments[cone];
     var rgb = vec3<f32>(0.0);

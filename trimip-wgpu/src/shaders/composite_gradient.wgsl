@@ -1,4 +1,5 @@
-// Maps gradients of pixels to gradients of density and colour: what a sample adds to its pixel minus what it hides.
+// Maps gradients of pixels to gradients of density and colour. The gradient of a density is what the sample adds to its
+// pixel minus what it hides.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
@@ -12,7 +13,7 @@
 
 fn cone_gradient(cone: u32, gradient: vec4<f32>) {
     let segment = segments[cone];
-    // The contribution of everything behind the sample, background included; initially the whole cone.
+    // Contribution of everything behind the current sample, background included; initially of the whole cone.
     let at = PIXEL_FLOATS * cone;
     let whole = vec4<f32>(cones[at], cones[at + 1u], cones[at + 2u], cones[at + 3u]);
     var behind = dot(whole, gradient);
@@ -27,7 +28,7 @@ fn cone_gradient(cone: u32, gradient: vec4<f32>) {
         depth_before += depth;
         transmittance = exp(-depth_before);
         behind -= weight * shade;
-        // The bound removes the rounding error that would remain where nothing shines through.
+        // The bound removes the rounding error that would remain where no light passes the sample.
         let most = transmittance * brightest;
         let hidden = clamp(behind, -most, most);
         gradients[j] = vec4<f32>(gradient.rgb * weight, (transmittance * shade - hidden) * length);

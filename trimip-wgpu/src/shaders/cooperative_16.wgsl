@@ -1,4 +1,4 @@
-// Cooperative matrices of 16 by 16: factors of f16, sums of f32.
+// Cooperative matrices of 16 by 16: f16 factors and f32 sums.
 const T: u32 = 16u;
 alias Left = coop_mat16x16<f16, A>;
 alias Right = coop_mat16x16<f16, B>;

@@ -1,4 +1,4 @@
-// Cooperative matrices of 8 by 8: factors of f16, sums of f32.
+// Cooperative matrices of 8 by 8: f16 factors and f32 sums.
 const T: u32 = 8u;
 alias Left = coop_mat8x8<f16, A>;
 alias Right = coop_mat8x8<f16, B>;

@@ -1,5 +1,6 @@
-// Gradients of the density network's outputs, [samples, outputs]. The logit's gradient comes from the density, those
-// of the geometry features from the colour network's input, [samples, width].
+// Computes the gradients of the density network's outputs, [samples, outputs]. The gradient of the logit comes from the
+// density. The gradients of the geometry features come from the gradients of the colour network's input, [samples,
+// width].
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
 @group(0) @binding(1) var<storage, read_write> rows: array<f32>;

@@ -1,4 +1,4 @@
-// Blackens the samples whose weight in their ray is less than the least weight. One invocation per ray.
+// Blackens the samples whose compositing weight is below `params.least`. One invocation per ray.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> radiance: array<vec4<f32>>;

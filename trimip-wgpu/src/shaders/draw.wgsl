@@ -10,7 +10,7 @@ struct Drawn {
     importance: f32,
 }
 
-// Scale of pixel `index` of the step.
+// Returns the scale of pixel `index` of the step.
 fn scale_of(index: u32) -> u32 {
     var s = 0u;
     for (var j = 1u; j < params.scales; j++) {

@@ -1,6 +1,6 @@
-// Pixels drawn by the error map; mirrors `ErrorMap::draw`. Needs `cell_of` and `views`.
+// Draws pixels with the error map; mirrors `ErrorMap::draw`. Needs `cell_of` and `views`.
 
-// First pixel and end of part `part` of `parts` along a side of `pixels` pixels.
+// Divides a side of `pixels` pixels into `parts` parts, and returns the first pixel and the end of part `part`.
 fn part_of(pixels: u32, part: u32, parts: u32) -> vec2<u32> {
     return (vec2<u32>(part, part + 1u) * pixels + parts - 1u) / parts;
 }
@@ -9,7 +9,7 @@ fn drawn(index: u32) -> Drawn {
     let s = scale_of(index);
     let bits = random_bits(params.draws, index);
     let cell = cell_of(bits.x);
-    // The last view of the scale whose cells start at or before this one.
+    // Finds the last view of the scale whose cells start at or before `cell`.
     var low = params.first_views[s / 4u][s % 4u];
     var high = low + params.views[s / 4u][s % 4u];
     while high - low > 1u {
@@ -27,7 +27,7 @@ fn drawn(index: u32) -> Drawn {
     let rows = part_of(view.cells.w, within / size.x, size.y);
     let x = columns.x + below(bits.y, columns.y - columns.x);
     let y = rows.x + below(bits.z, rows.y - rows.x);
-    // The last cell ends at 2^32, which is 0 here.
+    // The last cell ends at 2^32, which is 0 in a u32.
     var end = 0u;
     if cell + 1u < params.cells.x {
         end = starts[cell + 1u];

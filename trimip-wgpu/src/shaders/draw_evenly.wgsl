@@ -1,4 +1,4 @@
-// Pixels drawn evenly from their scale; mirrors `SamplerPolicy::pixel` without an error map.
+// Draws pixels evenly from their scale; mirrors `SamplerPolicy::pixel` without an error map.
 
 fn drawn(index: u32) -> Drawn {
     let s = scale_of(index);

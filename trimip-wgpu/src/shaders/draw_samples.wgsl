@@ -1,5 +1,6 @@
-// Draws samples by the norms of the gradients of their logits, systematically along each ray: one wherever the sum of the
-// probabilities reaches a whole number. The gradients of drawn samples are divided by their probabilities. One invocation per ray.
+// Draws samples with probabilities proportional to the norms of the gradients of their logits, but at most 1. The draw is
+// systematic along each ray: a sample is drawn wherever the sum of the probabilities reaches a whole number. The gradients of
+// drawn samples are divided by their probabilities. One invocation per ray.
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
 @group(0) @binding(1) var<storage, read> radiance: array<vec4<f32>>;
@@ -8,7 +9,7 @@
 @group(0) @binding(4) var<storage, read_write> gradients: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> marks: array<u32>;
 
-// The norm of the gradient of a sample's logits.
+// Returns the norm of the gradient with respect to a sample's logits.
 fn norm_of(j: u32) -> f32 {
     let gradient = gradients[j];
     let slope = params.scale * density_derivative(params.density, outputs[params.outputs * j] - params.shift);

@@ -3,7 +3,7 @@
 // Smallest random number that draws each cell, ascending from 0.
 @group(0) @binding(10) var<storage, read> starts: array<u32>;
 
-// The cell that a random number draws.
+// Returns the cell that a random number draws.
 fn cell_of(bits: u32) -> u32 {
     var low = 0u;
     var high = params.cells.x;

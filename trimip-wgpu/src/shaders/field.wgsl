@@ -1,5 +1,4 @@
-// Operations between the layers of the two networks: densities, the colour network's input, colours, and their
-// gradients.
+// Operations before and after the two networks: densities, the colour network's input, colours, and their gradients.
 
 @group(0) @binding(0) var<storage, read> outputs: array<f32>;
 @group(0) @binding(1) var<storage, read_write> radiance: array<vec4<f32>>;
@@ -21,7 +20,7 @@ fn densities(
     }
 }
 
-// One row of `width` floats per sample.
+// Writes one row of `width` floats per sample.
 @compute @workgroup_size(GROUP)
 fn color_inputs(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -68,8 +67,8 @@ fn append_frequencies(first: u32, count: u32, j: u32, value: f32, frequencies: u
     }
 }
 
-// Colours from the first three of the colour network's outputs, [samples, DIRECT]; without networks, from the three after the
-// density logit.
+// Computes colours from the first three outputs of the colour network, [samples, DIRECT]; without networks, from the three
+// values after the density logit.
 @compute @workgroup_size(GROUP)
 fn colors(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -88,7 +87,7 @@ fn colors(
     }
 }
 
-// Gradients of the colour logits, [samples, DIRECT].
+// Computes the gradients of the colour logits, [samples, DIRECT].
 @compute @workgroup_size(GROUP)
 fn color_gradients(
     @builtin(workgroup_id) group: vec3<u32>,

@@ -1,4 +1,4 @@
-// Stores a product where the mask, of the same shape, is above zero: the derivative of a ReLU.
+// Stores a product where the mask, which has the same shape, is above zero, and 0 elsewhere: the derivative of a ReLU.
 @group(0) @binding(4) var<storage, read> mask: array<f32>;
 
 fn finish(value: f32, at: u32) -> f32 {

@@ -1,13 +1,14 @@
-// Sums of texel gradients in 64-bit fixed point, as two words; `POINT` is the fixed-point value of 1. Integer sums have the same
-// bits in any order. Before the division by the step's weight, gradients stay below 2^33 and are as exact as in f32.
+// Sums of gradients in 64-bit fixed point, stored as two words; `POINT` is the fixed-point value of 1. Sums of integers are
+// bit-identical in any order. Before the division by the sum of the step's loss weights, gradients stay below 2^33 and are as
+// exact as in f32.
 const WORD: f32 = 4294967296.0;
 
-// True for values of magnitude below 2^24; 512 of them can be added without overflow.
+// Returns true for values of magnitude below 2^24; 512 such values can be added without overflow.
 fn fits(value: f32) -> bool {
     return (bitcast<u32>(value) & 0x7fffffffu) < 0x4b800000u;
 }
 
-// Low and high word of a value that fits.
+// Returns the low and the high word of a value that fits.
 fn to_fixed(value: f32) -> vec2<u32> {
     let size = abs(value) * POINT;
     let high = u32(size / WORD);

@@ -1,4 +1,5 @@
-// Real spherical harmonics up to degree 4 of a unit direction; mirrors `trimip_core::math::sh`, whose factors are `SH`.
+// Returns the real spherical harmonics of degrees 0 to 3 of a unit direction; mirrors `trimip_core::math::sh`, whose
+// factors are `SH`.
 fn spherical_harmonics(d: vec3<f32>) -> array<f32, 16> {
     let x = d.x;
     let y = d.y;

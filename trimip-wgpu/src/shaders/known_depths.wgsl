@@ -1,7 +1,7 @@
 // Writes the known depths of a training step's pixels to their targets. Needs `drawn`.
 
 @group(0) @binding(5) var<storage, read_write> targets: array<f32>;
-// Sorted by pixel.
+// Known depths, sorted by pixel.
 @group(0) @binding(9) var<storage, read> depths: array<KnownDepth>;
 
 @compute @workgroup_size(GROUP)
@@ -15,7 +15,7 @@ fn known_depths(
         return;
     }
     let pixel = drawn(params.first + i).pixel;
-    // The first entry that is not before the pixel.
+    // Finds the first entry that is not before the pixel.
     var low = 0u;
     var high = params.depths;
     while low < high {

@@ -1,5 +1,6 @@
-// The terms of each pixel, weighted by area, and their gradient with respect to the pixel. The sums over a workgroup's
-// pixels go to `partial`; `loss_sums.wgsl` adds them. Needs an adjustment (`exposed`, `unexposed`); `penalty` (the photometric term), `PixelTerms` and `pixel_terms` are composed of the registered terms.
+// Evaluates the terms of each pixel, weighted by area, and their gradient with respect to the pixel. The sums over a workgroup's pixels are
+// written to `partial`; `loss_sums.wgsl` adds them up. Needs the functions `exposed` and `unexposed`. `penalty` (the photometric term),
+// `PixelTerms` and `pixel_terms` are generated from the registered terms.
 
 @group(0) @binding(0) var<storage, read> pixels: array<f32>;
 @group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
@@ -21,7 +22,8 @@ fn shown(pixel: vec4<f32>, background: vec3<f32>, exponent: f32) -> vec3<f32> {
     return (pixel.rgb - behind) * pow(max(pixel.a, LEAST_OPACITY), exponent) + behind;
 }
 
-// Gradient with respect to the pixel and its opacity, for a gradient with respect to the colour shown.
+// Returns the gradient with respect to the pixel's colour and opacity, given the gradient `by` with respect to the
+// colour that is shown.
 fn shown_gradient(pixel: vec4<f32>, background: vec3<f32>, exponent: f32, by: vec3<f32>) -> vec4<f32> {
     if exponent == 0.0 {
         return vec4<f32>(by, 0.0);

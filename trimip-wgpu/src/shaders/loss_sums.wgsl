@@ -1,11 +1,11 @@
-// Adds the sums of the workgroups of `evaluate` in order.
+// Adds up the sums of the workgroups of `evaluate` in order.
 
 @group(0) @binding(2) var<uniform> params: Params;
 // Loss, weight, squared error, number of non-finite pixels.
 @group(0) @binding(4) var<storage, read_write> partial: array<vec4<f32>>;
-// These four sums over the step, as bits; then the numbers of samples marched and kept, of samples dropped from both for lack of room, and
-// of samples with a backward pass: all kept ones, unless samples are drawn. Counts are not stored as floats: the bits of small counts are
-// denormal, and a device may flush them to zero.
+// The same four sums over the step, as bits of floats. Then the numbers of marched samples, of kept samples, of samples dropped from each
+// of the two for lack of room, and of samples with a backward pass: all kept samples, unless samples are drawn. The array does not hold
+// floats, because the bits of small counts are denormal floats, which a device may flush to zero.
 @group(0) @binding(5) var<storage, read_write> sums: array<u32>;
 @group(0) @binding(6) var<storage, read> counts: array<u32>;
 

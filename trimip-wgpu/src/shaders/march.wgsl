@@ -1,5 +1,5 @@
-// Marching. `march` decides once, with one bit per step, which steps lie in occupied cells, and counts them. After
-// the counts are summed, `place` turns the bits into samples. Mirrors the CPU's renderer.
+// Ray marching. `march` finds the steps that lie in occupied cells, sets one bit for each of them, and counts them.
+// After a prefix sum of the counts, `place` turns the bits into samples. Mirrors the CPU's renderer.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read_write> bits: array<u32>;
@@ -9,7 +9,7 @@
 @group(0) @binding(6) var<storage, read_write> intervals: array<vec2<f32>>;
 @group(0) @binding(7) var<storage, read_write> spheres: array<vec4<f32>>;
 
-// The march of ray `index` of the step.
+// Returns the march of ray `index` of the training step.
 fn start(ray: Ray, index: u32) -> March {
     let parameterisation = parameterisation_of(params.space, ray);
     var offset = 0.0;

@@ -1,5 +1,5 @@
-// C[rows, N] = A[rows, K] · W[K, N]. A workgroup computes ROWS rows by 16·TN columns, an invocation 4 rows by TN
-// columns. `finish` defines what is stored.
+// C[rows, N] = A[rows, K] · W[K, N]. A workgroup computes ROWS rows by 16·TN columns, and an invocation computes 4 rows
+// by TN columns. `finish` determines what is stored.
 
 @group(0) @binding(0) var<storage, read> left: array<f32>;
 @group(0) @binding(1) var<storage, read> weights: array<f32>;
@@ -23,7 +23,7 @@ fn multiply(
     let tile = group.y * groups.x + group.x;
     let first_row = tile / (N / COLUMNS) * ROWS;
     let first_column = tile % (N / COLUMNS) * COLUMNS;
-    // Uniform over the workgroup.
+    // The condition is uniform over the workgroup.
     if first_row >= rows {
         return;
     }

@@ -1,6 +1,6 @@
 // C[rows, N] = A[rows, K] · W[K, N] with cooperative matrices. A workgroup computes ROWS rows; each of its subgroups
-// computes strips of T rows by T·TN columns. A is multiplied by SCALE so that small gradients do not underflow in
-// f16. `finish` defines what is stored. Arrays are padded to whole blocks of rows: values after the last row are
+// computes strips of T rows by T·TN columns. A is multiplied by SCALE so that small gradients do not underflow in f16.
+// `finish` determines what is stored. Arrays are padded to whole blocks of rows; values after the last row are
 // overwritten and never read.
 
 @group(0) @binding(0) var<storage, read> left: array<f32>;
@@ -25,7 +25,7 @@ fn multiply(
 ) {
     let rows = counts[params.counter];
     let first = (group.y * groups.x + group.x) * ROWS;
-    // Uniform over the workgroup.
+    // The condition is uniform over the workgroup.
     if first >= rows {
         return;
     }

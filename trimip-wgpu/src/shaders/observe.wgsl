@@ -1,8 +1,9 @@
-// Adds the errors of a training step's pixels to their cells; mirrors `error_map::error_of`. Needs `cell_of`.
+// Adds the errors of a training step's pixels to the pixels' cells in the error map; mirrors `error_map::error_of`.
+// Needs `cell_of`.
 
 @group(0) @binding(5) var<storage, read> targets: array<f32>;
 @group(0) @binding(11) var<storage, read> gradients: array<vec4<f32>>;
-// Low and high word of the sum of errors, number of pixels, and a word that stays 0.
+// For each cell: low and high word of the sum of errors, number of pixels, and a word that stays 0.
 @group(0) @binding(12) var<storage, read_write> errors: array<atomic<u32>>;
 
 @compute @workgroup_size(GROUP)

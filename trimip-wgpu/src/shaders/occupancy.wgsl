@@ -1,5 +1,5 @@
 // The occupancy grid: selection of cells, their densities, and the occupied bits. Mirrors `trimip_core::geometry::occupancy`
-// and the CPU's grid. `state` holds the numbers of cells selected, occupied, and queried in this tile.
+// and the CPU's grid. `state` holds the numbers of selected cells, of occupied cells, and of cells that this tile queries.
 
 @group(0) @binding(0) var<storage, read_write> state: array<atomic<u32>>;
 @group(0) @binding(1) var<storage, read_write> grid: array<u32>;
@@ -22,7 +22,7 @@ fn coordinates(cell: u32, side: u32) -> vec3<u32> {
     return vec3<u32>(cell % side, cell / side % side, cell / (side * side));
 }
 
-// A unit direction from 32 random bits: the upper half gives the height, the lower half the angle.
+// Returns a unit direction from 32 random bits: the upper half gives the height, the lower half the angle.
 fn direction_of(bits: u32) -> vec3<f32> {
     let part = (vec2<f32>(f32(bits >> 16u), f32(bits & 0xffffu)) + 0.5) / 65536.0;
     let height = 2.0 * part.x - 1.0;
@@ -31,7 +31,7 @@ fn direction_of(bits: u32) -> vec3<f32> {
     return vec3<f32>(radius * cos(angle), radius * sin(angle), height);
 }
 
-// The order of the listed cells does not matter: each is evaluated on its own.
+// Lists the selected cells. Their order does not matter, because each cell is evaluated on its own.
 @compute @workgroup_size(GROUP)
 fn choose(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -128,7 +128,7 @@ fn find_threshold(@builtin(local_invocation_index) local: u32) {
     }
 }
 
-// The bits of a block's cells that are denser than a limit.
+// Returns the bits of a block's cells; a bit is set if its cell is denser than `limit`.
 fn denser(block: u32, limit: f32) -> vec2<u32> {
     let corner = coordinates(block, params.space.resolution / SIDE) * SIDE;
     var words = vec2<u32>(0u);
@@ -160,7 +160,7 @@ fn set_bits(
     atomicAdd(&state[OCCUPIED], countOneBits(words.x) + countOneBits(words.y));
 }
 
-// If all cells equal their mean, none is above it. Without this rule, such a grid would stay empty.
+// If all densities are equal, none is above their mean. Without this rule, such a grid would stay empty.
 @compute @workgroup_size(GROUP)
 fn fill_if_empty(
     @builtin(workgroup_id) group: vec3<u32>,

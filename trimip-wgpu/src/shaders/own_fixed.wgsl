@@ -1,4 +1,4 @@
-// Reads a texel's own gradient, as written by `add_fixed`.
+// Reads a texel's own gradient, which `add_fixed.wgsl` has summed.
 @group(0) @binding(3) var<storage, read_write> high: array<vec4<u32>>;
 
 fn own_gradient(at: u32) -> vec4<f32> {

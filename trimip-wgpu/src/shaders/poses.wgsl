@@ -1,5 +1,5 @@
-// Gradients by camera poses; mirrors `trimip_core::engine::policy::poses` and the CPU's stage. Each ray is moved by its
-// own radius along a random direction across it, to either side, with its samples.
+// Gradients with respect to camera poses; mirrors `trimip_core::engine::policy::poses` and the CPU's stage. Each ray
+// and its samples are moved by the ray's radius along a random direction perpendicular to the ray, to both sides.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read_write> displaced_rays: array<Ray>;
@@ -20,7 +20,7 @@
 // Twelve sums of each photograph in fixed point: the low and the high word of each.
 @group(0) @binding(14) var<storage, read_write> sums: array<atomic<u32>>;
 
-// A random unit vector across ray `i` of the tile.
+// Returns a random unit vector perpendicular to ray `i` of the tile.
 fn direction_across(i: u32, direction: vec3<f32>) -> vec3<f32> {
     let bits = random_bits(params.draws, params.first + i);
     var place = vec2<f32>(0.0);

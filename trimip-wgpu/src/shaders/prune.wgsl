@@ -1,5 +1,6 @@
-// Pruning. `see` walks each ray front to back, marks the samples to keep and lengthens their intervals by the faint samples that
-// merge with them. After the counts are summed, `list` writes their rows. Mirrors `compositing::Pruning`.
+// Pruning. `see` walks each ray front to back, marks the samples to keep, and lengthens their intervals by the faint samples
+// that merge with them. After a prefix sum of the counts, `list` writes the rows of the marked samples. Mirrors
+// `compositing::Pruning`.
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read_write> kept: array<u32>;

@@ -14,17 +14,17 @@ fn pcg4d(v: vec4<u32>) -> vec4<u32> {
     return pcg4d_mix(mixed ^ (mixed >> vec4<u32>(16u)));
 }
 
-// Four independent 32-bit numbers for `index`.
+// Returns four independent 32-bit numbers for `index`.
 fn random_bits(draws: vec4<u32>, index: u32) -> vec4<u32> {
     return pcg4d(vec4<u32>(draws.x ^ index, draws.y, draws.z, draws.w + index));
 }
 
-// The upper 24 bits as a number in [0, 1).
+// Returns the upper 24 bits as a number in [0, 1).
 fn unit(bits: u32) -> f32 {
     return f32(bits >> 8u) * (1.0 / 16777216.0);
 }
 
-// A number in 0..count from 32 random bits: the upper word of their product.
+// Returns a number in 0..count from 32 random bits: the upper word of `bits` times `count`.
 fn below(bits: u32, count: u32) -> u32 {
     let al = bits & 0xffffu;
     let ah = bits >> 16u;

@@ -1,6 +1,6 @@
 // Functions of a cone's axis.
 
-// Distance of a point at distance `t` from the cone's apex.
+// Returns the distance from the cone's apex to the point at distance `t` along the ray.
 fn apex_distance(ray: Ray, t: f32) -> f32 {
     if ray.radius == 0.0 {
         return t;

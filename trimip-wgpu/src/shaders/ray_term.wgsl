@@ -1,9 +1,10 @@
-// A term of rays over each pixel's cones, and its gradient with respect to densities. The term's function `ray_term(cone,
-// at, fraction)` adds `fraction` times the gradient of a cone and returns `fraction` times its value. The sums over a workgroup's pixels go
-// to `partial`; `add_rays` adds them to the step's loss in order.
+// Evaluates a ray term over each pixel's cones, and its gradient with respect to densities. The term's function `ray_term(cone, at,
+// fraction)` adds `fraction` times the gradient of a cone and returns `fraction` times the value of the term. The sums over a workgroup's
+// pixels are written to `partial`; `add_rays` adds them to the step's loss in order.
 
 @group(0) @binding(0) var<storage, read> segments: array<vec2<u32>>;
-// Gradients by the colour and density of each sample; those of the other terms are already included.
+// Gradients with respect to the colour and density of each sample. They already include the terms that were evaluated
+// before.
 @group(0) @binding(1) var<storage, read_write> gradients: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> params: Params;
 @group(0) @binding(3) var<storage, read> radiance: array<vec4<f32>>;
@@ -16,7 +17,7 @@
 // The step's sums: the first word holds the bits of the loss.
 @group(0) @binding(9) var<storage, read_write> sums: array<u32>;
 
-// Place and width of sample `j`.
+// Returns the ray parameter and the width of sample `j`, see `along`.
 fn at_sample(parameterisation: RayParameter, ray: Ray, j: u32) -> vec2<f32> {
     return along(params.space, parameterisation, ray, intervals[j].x, intervals[j].y);
 }

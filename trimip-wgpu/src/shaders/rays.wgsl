@@ -1,5 +1,5 @@
-// Ray generation: random pixels of the training views, or all pixels of a camera. Mirrors the CPU's sampler. Needs
-// `views` and `drawn`.
+// Generates the rays of random pixels of the training views, or of all pixels of a camera. Mirrors the CPU's sampler.
+// Needs `views` and `drawn`.
 
 @group(0) @binding(1) var<storage, read_write> rays: array<Ray>;
 @group(0) @binding(3) var<storage, read> pixels: array<u32>;
@@ -7,8 +7,8 @@
 // First cone and number of cones of each pixel.
 @group(0) @binding(6) var<storage, read_write> pixel_groups: array<vec2<u32>>;
 
-// Generates the cones of pixel number `i` of the tile; the first of them is number `start`.
-// Returns false if the camera has no ray for one of them.
+// Generates the cones of pixel number `i` of the tile; the first of these cones has number `start`. Returns false if
+// the camera has no ray for one of the cones.
 fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     let count = cones_in(side);
     pixel_groups[i] = vec2<u32>(start, count);
@@ -21,7 +21,7 @@ fn cones_of(i: u32, start: u32, side: u32, view: View, x: u32, y: u32) -> bool {
     return all;
 }
 
-// Cones of all pixels of the step before pixel `index`; mirrors `RayAllocation::cones_before`.
+// Returns the number of cones of all pixels of the step before pixel `index`; mirrors `RayAllocation::cones_before`.
 fn cones_before(index: u32) -> u32 {
     var cones = 0u;
     for (var j = 0u; j < params.scales; j++) {
@@ -65,7 +65,7 @@ fn training_rays(
     let own = drawn(index);
     let s = own.scale;
     let pixel = own.pixel;
-    // The last view that starts at or before the pixel.
+    // Finds the last view whose pixels start at or before `pixel`.
     var low = params.first_views[s / 4u][s % 4u];
     var high = low + params.views[s / 4u][s % 4u];
     while high - low > 1u {
@@ -107,7 +107,7 @@ fn training_rays(
     targets[at + TARGET_BACKGROUND + 2u] = background.b;
     targets[at + TARGET_OPACITY] = opacity;
     targets[at + TARGET_EXPONENT] = params.exponents[s / 4u][s % 4u];
-    // `known_depths` writes those that are known.
+    // The kernel `known_depths` overwrites both for pixels of known depth.
     targets[at + TARGET_DISTANCE] = 0.0;
     targets[at + TARGET_DEVIATION] = 0.0;
     targets[at + TARGET_IMPORTANCE] = own.importance;

@@ -1,7 +1,7 @@
 // Exclusive prefix sums of the segments' counts. `sum_blocks` sums blocks of BLOCK segments, `sum_all` scans the
 // blocks, and `start_segments` writes the start of every segment. The order of all additions is fixed.
 
-// Segments per workgroup.
+// Number of segments per workgroup.
 const BLOCK: u32 = EACH * GROUP;
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
@@ -11,7 +11,7 @@ const BLOCK: u32 = EACH * GROUP;
 
 var<workgroup> sums: array<u32, GROUP>;
 
-// Exclusive prefix sum over the workgroup; afterwards `sums[GROUP - 1]` holds the total.
+// Returns the exclusive prefix sum over the workgroup; afterwards `sums[GROUP - 1]` holds the total.
 fn exclusive(local: u32, own: u32) -> u32 {
     sums[local] = own;
     workgroupBarrier();

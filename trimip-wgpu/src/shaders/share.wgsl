@@ -1,6 +1,7 @@
-// Pruning for hybrid rendering. Marks the samples to keep: the first one of each group that shares a colour. It gets the
-// optical depth, the length and the mean distance of its group, and the mean of its geometry features. If the proxy is
-// unsure of a ray, the ray keeps all its visible samples. Mirrors `trimip_core::engine::proxy::share_colors`.
+// Pruning for hybrid rendering. Marks the first sample of each group of samples that share a colour, and drops the
+// others. The first sample gets the optical depth, the length and the weighted mean distance of its group, and the
+// weighted mean of the group's geometry features. A ray that is too wide for the proxy keeps all its visible samples.
+// Mirrors `trimip_core::engine::proxy::share_colors`.
 
 @group(0) @binding(0) var<storage, read_write> segments: array<vec2<u32>>;
 @group(0) @binding(1) var<storage, read> sure: array<u32>;
@@ -59,7 +60,7 @@ fn share(
         let depth = radiance[j].w * interval.y;
         let weight = exp(-before) * alpha_of(depth);
         let sum = group.weight + weight;
-        // False for NaN: such a sample forms its own group.
+        // The condition is false for NaN, so such a sample forms its own group.
         if shares && group.members > 0u && sum <= params.shared_weight && interval.x - group.first_t <= params.reach {
             if sum > 0.0 {
                 // The mean so far moves towards this sample's features.

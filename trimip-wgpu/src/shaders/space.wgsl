@@ -3,7 +3,7 @@
 // Maps distances along a ray to the parameter of its steps. In a bounded space (`speed` is 0), the parameter is the
 // distance.
 struct RayParameter {
-    // Parameters between which the ray can have samples; enter >= leave if there are none.
+    // Parameters between which the ray can have samples; enter >= leave if it cannot have any.
     enter: f32,
     leave: f32,
     middle: f32,
@@ -11,7 +11,7 @@ struct RayParameter {
     speed: f32,
 }
 
-// The distances (enter, leave) between which a ray can have samples; enter >= leave if there are none.
+// Returns the distances (enter, leave) between which a ray can have samples; enter >= leave if it cannot have any.
 fn intersect(space: Space, ray: Ray) -> vec2<f32> {
     var enter = 0.0;
     var leave = FAR;
@@ -35,7 +35,7 @@ fn centre_of(space: Space) -> vec3<f32> {
     return 0.5 * (space.aabb_min + space.aabb_max);
 }
 
-// The parameterisation of a ray.
+// Returns the parameterisation of a ray.
 fn parameterisation_of(space: Space, ray: Ray) -> RayParameter {
     if space.ball == 0.0 {
         let hit = intersect(space, ray);
@@ -52,14 +52,14 @@ fn parameterisation_of(space: Space, ray: Ray) -> RayParameter {
     return parameterisation;
 }
 
-// Parameter at distance `t`, in a contracted space.
+// Returns the ray parameter at distance `t`, in a contracted space.
 fn parameter_at(parameterisation: RayParameter, t: f32) -> f32 {
     let m = (t - parameterisation.middle) / parameterisation.reach;
     let contracted = select(m, sign(m) * (2.0 - 1.0 / abs(m)), abs(m) > 1.0);
     return parameterisation.speed * parameterisation.reach * contracted;
 }
 
-// Distance at the parameter `s`.
+// Returns the distance at the ray parameter `s`.
 fn distance_at(parameterisation: RayParameter, s: f32) -> f32 {
     if parameterisation.speed == 0.0 {
         return s;
@@ -69,7 +69,7 @@ fn distance_at(parameterisation: RayParameter, s: f32) -> f32 {
     return parameterisation.middle + parameterisation.reach * m;
 }
 
-// Length of a step of the parameter at distance `t`, in the units of the field's density.
+// Returns the length of a step of the ray parameter at distance `t`, in the units of the field's density.
 fn length_at(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, step: f32) -> f32 {
     if parameterisation.speed == 0.0 {
         return step;
@@ -79,8 +79,8 @@ fn length_at(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, ste
     return step * (m * m / parameterisation.speed) / (n * n);
 }
 
-// Place and width of a sample at distance `t`: the parameter, and its increase over the sample's `length` in the units of the
-// field's density; both in units of the box's longest side.
+// Returns the ray parameter of a sample at distance `t`, and the parameter's increase over the sample, both in units of the
+// box's longest side. `length` is the sample's length in the units of the field's density.
 fn along(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, length: f32) -> vec2<f32> {
     if parameterisation.speed == 0.0 {
         return vec2<f32>(t, length) / space.longest;
@@ -89,7 +89,7 @@ fn along(space: Space, parameterisation: RayParameter, ray: Ray, t: f32, length:
     return vec2<f32>(parameter_at(parameterisation, t), step) / space.longest;
 }
 
-// Distance of a point to the ball's centre in radii, at least 1.
+// Returns the distance from a point to the ball's centre, in radii of the ball, at least 1.
 fn distance_from_ball(space: Space, point: vec3<f32>) -> f32 {
     return max(length((point - centre_of(space)) / space.ball), 1.0);
 }
@@ -115,7 +115,7 @@ fn to_world(space: Space, position: vec3<f32>) -> vec3<f32> {
     return select(place, centre + n / m * (place - centre), m > 1.0);
 }
 
-// Factor by which the map scales a sphere's radius at a point.
+// Returns the factor by which the map scales a sphere's radius at a point.
 fn radius_scale(space: Space, point: vec3<f32>) -> f32 {
     if space.ball == 0.0 {
         return 1.0;
@@ -124,20 +124,21 @@ fn radius_scale(space: Space, point: vec3<f32>) -> f32 {
     return (2.0 * n - 1.0) / (n * n);
 }
 
-// The sphere of a ray at distance `t`: its centre in the cube, and its radius.
+// Returns the sphere of a ray at distance `t`: its centre in the cube, and its radius.
 fn sphere_at(space: Space, ray: Ray, t: f32) -> vec4<f32> {
     let point = ray.origin + t * ray.direction;
     return vec4<f32>(to_cube(space, point), (ray.radius + ray.slope * t) * radius_scale(space, point));
 }
 
-// Cell of a position.
+// Returns the cell of a position.
 fn cell_of(space: Space, position: vec3<f32>) -> vec3<u32> {
     let scaled = position * f32(space.resolution);
     return min(vec3<u32>(max(scaled, vec3<f32>(0.0))), vec3<u32>(space.resolution - 1u));
 }
 
-// Distance up to which a ray stays within the aligned cube of `size` cells that contains `cell`, a cell that the ray passes
-// before, minus the possible rounding error. FAR if it cannot be computed.
+// Returns the distance up to which a ray stays within the aligned cube of `size` cells that contains `cell`, minus the
+// possible rounding error. The ray must pass through `cell` before that distance. Returns FAR if the distance cannot be
+// computed.
 fn cells_exit(space: Space, ray: Ray, cell: vec3<u32>, size: u32) -> f32 {
     var leave = FAR;
     for (var axis = 0u; axis < 3u; axis++) {
@@ -156,8 +157,8 @@ fn cells_exit(space: Space, ray: Ray, cell: vec3<u32>, size: u32) -> f32 {
     return leave;
 }
 
-// A parameter beyond `s` up to which a ray in a contracted space stays within the aligned cube of `size` cells that
-// contains `cell`, the cell of `position`.
+// Returns a ray parameter beyond `s` up to which a ray in a contracted space stays within the aligned cube of `size`
+// cells that contains `cell`, the cell of `position`.
 fn cells_clear(space: Space, s: f32, position: vec3<f32>, cell: vec3<u32>, size: u32) -> f32 {
     let within = position * f32(space.resolution) - vec3<f32>(cell / size * size);
     let margin = min(within, f32(size) - within);

@@ -1,7 +1,7 @@
 // Sums over a workgroup. `Sum` is the type of the summands.
 var<workgroup> shared_sums: array<Sum, GROUP>;
 
-// Sum over the workgroup in a fixed order; valid in the first invocation.
+// Returns the sum over the workgroup, computed in a fixed order; valid in the first invocation.
 fn workgroup_sum(local: u32, own: Sum) -> Sum {
     shared_sums[local] = own;
     workgroupBarrier();

@@ -1,11 +1,11 @@
-// Walking rays in steps through the occupied cells of the grid. Needs parameters with
-// `space`, `step_length` and `step_per_radius`.
+// Walks rays in steps through the occupied cells of the occupancy grid. Needs parameters with `space`, `step_length`
+// and `step_per_radius`.
 
 // One bit per cell in blocks of 4x4x4 cells (two words per block), then one bit per block in blocks of blocks.
 @group(0) @binding(4) var<storage, read> grid: array<u32>;
 
-// March of a ray: parameter of the start of the first step, parameter at which the ray leaves the space, length of a
-// step of the parameter, and the ray's parameterisation.
+// The march of a ray: ray parameter at the start of the first step, ray parameter at which the ray leaves the space,
+// step length as a difference of ray parameters, and the ray's parameterisation.
 struct March {
     first: f32,
     leave: f32,
@@ -13,21 +13,21 @@ struct March {
     parameterisation: RayParameter,
 }
 
-// The march of a ray. `offset` moves its start, in steps.
+// Returns the march of a ray. Its start is moved by `offset` steps.
 fn march_along(parameterisation: RayParameter, step: f32, offset: f32) -> March {
     let first = parameterisation.enter + offset * step;
     let hits = parameterisation.leave > first && parameterisation.leave < FAR;
     return March(first, select(-FAR, parameterisation.leave, hits), step, parameterisation);
 }
 
-// Length of the steps of volume rendering.
+// Returns the length of the steps of volume rendering.
 fn volume_step(ray: Ray, parameterisation: RayParameter) -> f32 {
     let radius = params.step_per_radius * ray.radius;
     let by_radius = radius + params.step_per_radius * ray.slope * 0.5 * (parameterisation.enter + parameterisation.leave);
     return select(params.step_length, by_radius, by_radius > params.step_length);
 }
 
-// Distance of the middle of a step.
+// Returns the distance of a step's midpoint.
 fn middle(m: March, index: f32) -> f32 {
     return distance_at(m.parameterisation, m.first + (index + 0.5) * m.step);
 }
@@ -36,7 +36,8 @@ fn is_empty(word: u32) -> bool {
     return (grid[word] | grid[word + 1u]) == 0u;
 }
 
-// Side, in cells, of the largest empty cube of the hierarchy that contains a cell; 0 if the cell is occupied.
+// Returns the side, in cells, of the largest empty cube of the hierarchy that contains a cell; 0 if the cell is
+// occupied.
 fn empty_around(cell: vec3<u32>) -> u32 {
     let blocks = params.space.resolution / SIDE;
     let outer = bit_of(cell / SIDE, (blocks + SIDE - 1u) / SIDE);
@@ -50,7 +51,8 @@ fn empty_around(cell: vec3<u32>) -> u32 {
     return select(1u, 0u, ((grid[own.word] >> own.bit) & 1u) == 1u);
 }
 
-// Index of the first step, from `start` on, whose middle lies in an occupied cell; `last` if there is none before it.
+// Returns the index of the first step, from `start` on, whose midpoint lies in an occupied cell; `last` if no step
+// before `last` does.
 fn next_occupied(ray: Ray, m: March, start: f32, last: f32) -> f32 {
     var index = start;
     loop {
@@ -70,7 +72,8 @@ fn next_occupied(ray: Ray, m: March, start: f32, last: f32) -> f32 {
         } else {
             leave = cells_clear(params.space, s, position, cell, size);
         }
-        // The first step whose middle is not before the exit. A step that rounding may move is tested, not skipped.
+        // Continues with the first step whose midpoint is not before the exit. A step so close to the exit that
+        // rounding may move it is tested, not skipped.
         let steps = (leave - m.first) / m.step - 0.5;
         let next = ceil(steps * (1.0 - 1e-6) - 0.01);
         index = select(index + 1.0, max(next, index + 1.0), leave < FAR);

@@ -1,5 +1,5 @@
-// Conversion between parameters [inputs, outputs] and padded matrices. `pack` writes a layer's matrix and its
-// transpose; `reduce` adds the chunks of a weight gradient and drops the padding.
+// Converts between parameters [inputs, outputs] and padded matrices. `pack` writes a layer's matrix and its transpose;
+// `reduce` adds up the chunks of a weight gradient and drops the padding.
 
 @group(0) @binding(0) var<storage, read> source: array<f32>;
 @group(0) @binding(1) var<storage, read_write> forward: array<Weight>;

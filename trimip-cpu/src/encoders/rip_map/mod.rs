@@ -1,5 +1,5 @@
-//! Ripmaps on the CPU: a texel's 16 channels are one vector register; a query sums at most 16 of them on each plane.
-//! A ripmap holds a copy of its base, so that every level is read from one array.
+//! Ripmaps on the CPU: a texel's 16 channels fill one vector register, and a query sums at most 16 texels on each
+//! plane. A ripmap holds a copy of its base, so that every level is read from one array.
 
 mod passes;
 mod scatter;
@@ -19,13 +19,13 @@ use trimip_core::{Aabb, Config, Result};
 pub(crate) struct RipMaps {
     simd: Simd,
     planes: Vec<Plane<f32>>,
-    /// Size of the unit cube, world units.
+    /// Size of the unit cube, in world units.
     extent: [f32; 3],
     /// The ripmaps of all planes, and their gradients.
     maps: Buffer<f32>,
     map_gradients: Buffer<f32>,
-    /// The texels whose gradient may be non-zero: for each row of each ripmap, an interval of columns in units of
-    /// level 0, aligned so that it halves evenly.
+    /// The texels whose gradient may be non-zero: for each row of each ripmap, an interval of columns in units of level
+    /// 0, aligned so that it halves evenly on every level.
     touched: Vec<Vec<Extent>>,
 }
 

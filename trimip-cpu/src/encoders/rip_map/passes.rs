@@ -1,5 +1,5 @@
-//! Passes over a whole ripmap: means from fine to coarse levels, gradients from coarse to fine levels. Each pass
-//! covers one interval of columns per row.
+//! Passes over a whole ripmap: one pass averages texels from fine to coarse levels, the other adds gradients from
+//! coarse to fine levels. Each pass covers one interval of columns per row.
 
 use crate::encoders::bands::Extent;
 use crate::simd::{Kernel, Lanes, Simd};
@@ -7,28 +7,29 @@ use rayon::prelude::*;
 use std::ops::Range;
 use trimip_core::field::encoders::rip_map::{CHANNELS, Plane};
 
-/// Number of columns of level 0 to whose multiples intervals are rounded, so that they halve evenly on every level.
+/// Returns the unit of intervals, in columns of level 0. Interval ends are rounded to multiples of it, so that
+/// intervals halve evenly on every level.
 pub fn unit(plane: &Plane<f32>) -> u32 {
     1 << (plane.levels - 1)
 }
 
-/// Floats of a plane's base.
+/// Returns the number of floats of a plane's base.
 pub fn base_len(plane: &Plane<f32>) -> usize {
     plane.sides[0] * plane.sides[1] * CHANNELS
 }
 
-/// Floats of a plane's ripmap.
+/// Returns the number of floats of a plane's ripmap.
 pub fn map_len(plane: &Plane<f32>) -> usize {
     plane.width() * plane.height() * CHANNELS
 }
 
-/// Floats of a row of a ripmap.
+/// Returns the number of floats of a row of a ripmap.
 fn row_len(plane: &Plane<f32>) -> usize {
     plane.width() * CHANNELS
 }
 
-/// Rebuilds the part of the ripmap `map` that depends on the texels of `base` in `changed`, which has one interval
-/// per row of the base.
+/// Rebuilds the part of the ripmap `map` that depends on changed texels of `base`; `changed` has one interval per row
+/// of the base.
 pub fn average(simd: Simd, plane: &Plane<f32>, base: &[f32], map: &mut [f32], changed: &[Extent]) {
     let row = row_len(plane);
     let mut changed: Vec<Extent> = changed.iter().map(|extent| extent.aligned(unit(plane))).collect();
@@ -58,8 +59,8 @@ pub fn average(simd: Simd, plane: &Plane<f32>, base: &[f32], map: &mut [f32], ch
     }
 }
 
-/// Sums the gradient of the ripmap `map` into the gradient of its base. `touched` has one interval for each row of
-/// the map, outside of which the map is zero. On return, the intervals of the base's rows are the touched ones of
+/// Sums the gradient of the ripmap `map` into the gradient of its base. `touched` has one interval for each row of the
+/// map; texels outside the intervals are zero. On return, the intervals of the base's rows are the touched intervals of
 /// `base`.
 pub fn pull(simd: Simd, plane: &Plane<f32>, map: &mut [f32], base: &mut [f32], touched: &mut [Extent]) {
     let row = row_len(plane);
@@ -89,12 +90,12 @@ pub fn pull(simd: Simd, plane: &Plane<f32>, map: &mut [f32], base: &mut [f32], t
     });
 }
 
-/// The floats of a range of texels.
+/// Returns the range of floats of a range of texels.
 fn floats(texels: Range<usize>) -> Range<usize> {
     texels.start * CHANNELS..texels.end * CHANNELS
 }
 
-/// The floats of level i of a row, and of level i + 1, that lie within an interval.
+/// Returns those floats of a row on `level`, and on `level` + 1, that lie within an interval.
 fn neighbours<'a>(
     plane: &Plane<f32>,
     row: &'a mut [f32],
@@ -110,10 +111,10 @@ fn neighbours<'a>(
     )
 }
 
-/// Floats of two texels.
+/// Number of floats of two texels.
 const TWO: usize = 2 * CHANNELS;
 
-/// Computes the levels of a row from its first: means of pairs of texels.
+/// Computes all levels of a row from its first level, as means of pairs of texels.
 struct AverageAlong<'a> {
     plane: &'a Plane<f32>,
     row: &'a mut [f32],
@@ -162,7 +163,7 @@ impl Kernel for PullAlong<'_> {
     }
 }
 
-/// The means of two rows.
+/// Computes the mean of two rows.
 struct Mean<'a> {
     lower: &'a [f32],
     upper: &'a [f32],
@@ -178,7 +179,7 @@ impl Kernel for Mean<'_> {
     }
 }
 
-/// Adds half of a row to another.
+/// Adds half of one row to another row.
 struct AddHalf<'a> {
     coarse: &'a [f32],
     fine: &'a mut [f32],

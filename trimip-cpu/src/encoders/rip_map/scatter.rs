@@ -1,5 +1,5 @@
-//! Scatters feature gradients to the texels of all levels, with the same bits for any number of threads and without
-//! atomics, as the tri-mip planes do: a sample is listed in each band of rows that it touches, and one worker sums a
+//! Adds feature gradients to the texels of all levels without atomics, bit-identically for any number of threads. The
+//! scheme is that of the tri-mip planes: a sample is listed in each band of rows that it touches, and one worker sums a
 //! band in sample order.
 
 use super::passes::{base_len, map_len};
@@ -9,7 +9,8 @@ use crate::simd::{Kernel, Lanes, Simd};
 use rayon::prelude::*;
 use trimip_core::field::encoders::rip_map::{CHANNELS, CONTEXT, Gaussian, Plane};
 
-/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
+/// Feature gradients collected from several tiles and, for each plane and band of rows, the samples that touch the
+/// band.
 pub(crate) struct Gradient {
     /// The Gaussian of each sample.
     pub gaussians: Buffer<[f32; CONTEXT]>,
@@ -19,7 +20,7 @@ pub(crate) struct Gradient {
     pub bands: Vec<Vec<u32>>,
 }
 
-/// Lists samples in every band that they touch.
+/// Lists each sample in every band that it touches.
 pub struct Sort<'a> {
     /// The planes.
     pub planes: &'a [Plane<f32>],
@@ -58,12 +59,12 @@ impl Kernel for Sort<'_> {
 struct Band<'a> {
     plane: usize,
     band: usize,
-    /// First row, texels and touched columns of the rows on each level.
+    /// For each level: the first row, the texels, and the touched columns of each row.
     levels: Vec<(usize, &'a mut [f32], &'a mut [Extent])>,
 }
 
-/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all partial gradients. `maps` are zero outside of
-/// `touched` on entry and on return. `base`, the gradient of the parameters, is set to zero.
+/// Overwrites `maps`, the gradients of all ripmaps, with the sums of all partial gradients. On entry and on return,
+/// `maps` are zero outside of `touched`. `base`, the gradient of the parameters, is set to zero.
 pub fn spread(
     simd: Simd,
     planes: &[Plane<f32>],

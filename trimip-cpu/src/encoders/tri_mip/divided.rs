@@ -1,5 +1,6 @@
-//! The planes divided among ranks. A rank sums its leaves of a step, receives the other ranks' sums of its bands, updates
-//! these bands, and sends the changed texels. Of each row, only the touched interval of columns is sent.
+//! Planes that are divided among ranks. A rank sums the gradients of its leaves of a step, receives the other ranks' sums
+//! for its bands, updates these bands, and sends the changed texels. Only the touched interval of columns of each row is
+//! sent.
 
 use super::Planes;
 use super::scatter::{Band, Sums};
@@ -17,14 +18,14 @@ use trimip_core::field::encoders::tri_mip::CHANNELS;
 /// A row of a level of a plane.
 struct PlaneRow {
     plane: usize,
-    /// Index of its extent among those of the level.
+    /// Index of the row's extent among the extents of its level.
     index: usize,
-    /// Index of its first float among those of the level.
+    /// Index of the row's first float among the floats of its level.
     first: usize,
 }
 
 impl Planes {
-    /// The bands of all planes, and the [`Sums`] over them.
+    /// Returns the bands of all planes, and the [`Sums`] that sums gradients over them.
     pub(super) fn bands<'a>(&'a mut self, gradient: &'a mut [f32]) -> (Sums<'a>, Vec<Band<'a>>) {
         let Self { simd, pyramid, division, derived_gradient, touched, scratch, .. } = self;
         let base = &mut gradient[..pyramid.base_len()];
@@ -32,7 +33,7 @@ impl Planes {
         (sums, Band::all(pyramid, division, base, derived_gradient, touched))
     }
 
-    /// The rows of a level in the bands of `rank`.
+    /// Returns the rows of a level that lie in the bands of `rank`.
     fn rows_of(&self, rank: usize, level: usize) -> impl Iterator<Item = PlaneRow> + use<> {
         let shapes = [0, 1, 2].map(|plane| self.pyramid.shape(level, plane));
         let bands = self.division.bands_of(rank).map(|(plane, band)| {
@@ -47,7 +48,7 @@ impl Planes {
         })
     }
 
-    /// The touched columns of a row, and their floats counted from the start of its level.
+    /// Returns the touched columns of a row, and the range of their floats relative to the start of the level.
     fn touched_of(&self, level: usize, row: &PlaneRow) -> (Extent, Range<usize>) {
         let extent = self.touched.level(level)[row.index];
         let Range { start, end } = extent.texels();
@@ -67,7 +68,7 @@ impl Divided for Planes {
         let to = Rank { id: to, size: self.division.this_rank.size };
         let (sums, bands) = self.bands(gradient);
         for band in bands {
-            // The length comes first, so that a reader finds a band without decoding the previous ones.
+            // Each band is preceded by its length, so that a reader finds a band without decoding the previous bands.
             let start = out.len();
             put(out, &[0_u64]);
             sums.put(to, &band, out);

@@ -1,20 +1,20 @@
-//! Division of the rows of the planes into bands, each summed by one worker, and of the bands among ranks.
+//! Divides the rows of the planes into bands, each of which one worker sums, and the bands among ranks.
 
 use crate::encoders::bands::{BANDS, first_row, owner};
 use trimip_core::engine::exchange::Rank;
 use trimip_core::field::encoders::tri_mip::Pyramid;
 
-/// Least number of row groups of a plane. More groups do not balance the work better.
+/// Minimum number of row groups that a plane is divided into. More groups do not balance the work better.
 const LEAST_UNITS: usize = 64;
 
-/// Largest number of levels above the base whose bands are nested.
+/// Maximum number of levels above the base whose bands are nested.
 const MOST_NESTED: u32 = 3;
 
-/// The division of a pyramid. On the first levels of a plane, a band covers the texels of the same band on the next coarser
-/// level, so that one rank can propagate a row's gradient to the base. Coarser levels have few texels, and every rank has all
-/// of them.
+/// The division of a pyramid. The bands of a plane are nested on its finest levels: a band covers the same area on each of
+/// them, so that one rank can propagate a row's gradient to the base. Coarser levels have few texels, and every rank gets the
+/// gradients of all of them.
 pub struct Division {
-    /// The bands of this rank.
+    /// The rank of this process, which determines its bands.
     pub this_rank: Rank,
     rows: [usize; 3],
     /// The coarsest nested level of each plane.
@@ -22,7 +22,7 @@ pub struct Division {
 }
 
 impl Division {
-    /// The division of `pyramid`, as seen by `this_rank`.
+    /// Divides `pyramid` among ranks; `this_rank` is the rank of this process.
     pub fn new(pyramid: &Pyramid, this_rank: Rank) -> Self {
         let rows = [0, 1, 2].map(|plane| pyramid.shape(0, plane).rows);
         let nested = rows.map(|rows| {
@@ -32,44 +32,44 @@ impl Division {
         Self { this_rank, rows, nested }
     }
 
-    /// log2 of the number of rows of a level that form a group.
+    /// Returns log2 of the number of rows that form a group on a level.
     #[inline(always)]
     fn shift(&self, plane: usize, level: usize) -> u32 {
         self.nested[plane].saturating_sub(level as u32)
     }
 
-    /// Band that owns a row.
+    /// Returns the band that owns a row.
     #[inline(always)]
     pub fn owner(&self, plane: usize, level: usize, row: usize) -> usize {
         let shift = self.shift(plane, level);
         owner(row >> shift, self.rows[plane] >> level >> shift)
     }
 
-    /// First row of a band.
+    /// Returns the first row of a band.
     pub fn first_row(&self, plane: usize, level: usize, band: usize) -> usize {
         let shift = self.shift(plane, level);
         first_row(band, self.rows[plane] >> level >> shift) << shift
     }
 
-    /// True if the rank `this_rank` sums this band.
+    /// Returns true if the rank `this_rank` sums this band.
     #[inline(always)]
     pub fn is_of(&self, this_rank: Rank, plane: usize, band: usize) -> bool {
         this_rank.has(plane * BANDS + band)
     }
 
-    /// True if this rank sums this band.
+    /// Returns true if this process sums this band.
     #[inline(always)]
     pub fn is_own(&self, plane: usize, band: usize) -> bool {
         self.is_of(self.this_rank, plane, band)
     }
 
-    /// True if every rank needs the gradient of this level.
+    /// Returns true if every rank needs the gradient of this level.
     #[inline(always)]
     pub fn is_common(&self, plane: usize, level: usize) -> bool {
         level as u32 > self.nested[plane]
     }
 
-    /// The bands of `rank`: plane and number.
+    /// Returns the bands of `rank`: for each, its plane and its index in the plane.
     pub fn bands_of(&self, rank: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
         let this_rank = Rank { id: rank, size: self.this_rank.size };
         (0..3 * BANDS).filter(move |band| this_rank.has(*band)).map(|band| (band / BANDS, band % BANDS))

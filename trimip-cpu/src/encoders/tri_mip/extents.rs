@@ -1,5 +1,5 @@
 //! The texels of the planes that a step touches: one interval of columns in every row of every level. Passes over
-//! gradient, moments and mip levels skip the other texels.
+//! gradients, AdamW moments and mip levels skip all other texels.
 
 use crate::encoders::bands::Extent;
 use trimip_core::field::encoders::tri_mip::{Pyramid, Shape};
@@ -11,7 +11,7 @@ pub struct Extents {
 }
 
 impl Extents {
-    /// The extents of all texels.
+    /// Creates extents that cover all texels.
     pub fn whole(pyramid: &Pyramid) -> Self {
         let level = |level| {
             let plane = |plane| {
@@ -23,22 +23,22 @@ impl Extents {
         Self { levels: (0..pyramid.levels).map(level).collect() }
     }
 
-    /// The extents of a level's rows, plane by plane.
+    /// Returns the extents of a level's rows, plane by plane.
     pub fn level(&self, level: usize) -> &[Extent] {
         &self.levels[level]
     }
 
-    /// The extent of a row, by its place among the rows of its level.
+    /// Returns the extent of a row; `row` is its index among the rows of its level on all planes.
     pub fn row_mut(&mut self, level: usize, row: usize) -> &mut Extent {
         &mut self.levels[level][row]
     }
 
-    /// The extents of every level's rows.
+    /// Iterates over the levels: the extents of each level's rows.
     pub fn iter_mut(&mut self) -> impl Iterator<Item = &mut Vec<Extent>> {
         self.levels.iter_mut()
     }
 
-    /// The extents of the rows of `level`, mutable, and of those of the next coarser level.
+    /// Returns the extents of `level`, mutable, and those of the next coarser level.
     pub fn levels_mut(&mut self, level: usize) -> (&mut [Extent], &[Extent]) {
         let (finer, coarser) = self.levels.split_at_mut(level + 1);
         (&mut finer[level], &coarser[0])

@@ -1,4 +1,4 @@
-//! Tri-mip encoding on the CPU: a texel's 16 channels are one vector register; a query sums at most 24 of them.
+//! Tri-mip encoding on the CPU: a texel's 16 channels fill one vector register, and a query sums at most 24 texels.
 
 mod divided;
 mod division;
@@ -28,13 +28,13 @@ use trimip_core::{Aabb, Config, Result};
 pub(crate) struct Planes {
     simd: Simd,
     pyramid: Pyramid,
-    /// The pyramid at full resolution; `pyramid` is that of the growth stage.
+    /// The pyramid at full resolution; `pyramid` is the one at the current growth stage.
     whole: Pyramid,
     /// Division of the rows of `pyramid` among workers and ranks.
     division: Division,
     /// `train.leaves`.
     leaves: u32,
-    /// Pool of unused memory for sums of leaves.
+    /// Pool of unused scratch memory for sums over leaves.
     scratch: Mutex<Vec<Scratch>>,
     /// The texels whose gradient may be non-zero.
     touched: Extents,
@@ -42,7 +42,8 @@ pub(crate) struct Planes {
     derived: Buffer<f32>,
     /// Gradient of `derived`.
     derived_gradient: Buffer<f32>,
-    /// log2 of the radius of level 0, if the level of a sample is one of its features.
+    /// log2 of the sphere radius that corresponds to level 0; `None` unless the level of a sample is one of its
+    /// features.
     reference: Option<f32>,
 }
 
@@ -257,7 +258,7 @@ impl Kernel for AverageRow<'_> {
         let below = 2 * CHANNELS * start..2 * CHANNELS * end;
         let (lower, upper) = (lower[below.clone()].as_chunks::<TWO>().0, upper[below].as_chunks::<TWO>().0);
         let out = self.out[CHANNELS * start..CHANNELS * end].as_chunks_mut().0;
-        // Explicit lanes, because the compiler would vectorise across texels and gather.
+        // Explicit vectors, because the compiler would vectorise across texels, with gather instructions.
         for ((lower, upper), out) in lower.iter().zip(upper).zip(out) {
             let pair = |two: &[f32; TWO]| {
                 let texels = two.as_chunks().0;
@@ -301,7 +302,7 @@ struct Gather<'a> {
     stride: usize,
 }
 
-/// Floats of two texels.
+/// Number of floats of two texels.
 const TWO: usize = 2 * CHANNELS;
 
 /// Number of samples whose texels are prefetched before the first of them is summed.
@@ -310,14 +311,14 @@ const AHEAD: usize = 8;
 /// Maximum number of levels of a pyramid: planes have at most 4096 texels along a side.
 const MOST_LEVELS: usize = 16;
 
-/// One bilinear read: pointers to its texels, and their weights multiplied by the level's share.
+/// One bilinear read: pointers to four texels, and the texels' weights multiplied by the weight of the mip level.
 #[derive(Clone, Copy)]
 struct Read {
     texels: [*const f32; 4],
     weights: [f32; 4],
 }
 
-/// The reads of a sample: one or two levels on each plane.
+/// The reads of a sample: one or two mip levels on each plane.
 #[derive(Clone, Copy)]
 struct Reads {
     reads: [[Read; 2]; 3],
@@ -325,7 +326,7 @@ struct Reads {
 }
 
 impl Gather<'_> {
-    /// Pointers to the first texel of every level and plane.
+    /// Returns pointers to the first texel of every level and plane.
     #[inline(always)]
     fn places(&self) -> [[*const f32; 3]; MOST_LEVELS] {
         let mut places = [[std::ptr::null(); 3]; MOST_LEVELS];

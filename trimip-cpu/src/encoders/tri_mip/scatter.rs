@@ -1,6 +1,6 @@
-//! Scatters feature gradients to texel gradients, with the same bits for any number of threads and without atomics.
-//! Each plane is cut into bands of rows. A sample is listed in every band that it touches, and one worker sums a band
-//! in sample order. A row of a level belongs to exactly one band.
+//! Adds feature gradients to texel gradients without atomics, bit-identically for any number of threads. Each plane is
+//! divided into bands of rows. A sample is listed in every band that it touches, and one worker sums a band in sample
+//! order. A row of a level belongs to exactly one band.
 
 use super::division::Division;
 use super::extents::Extents;
@@ -17,9 +17,10 @@ use trimip_core::engine::batch::Sphere;
 use trimip_core::engine::exchange::Rank;
 use trimip_core::field::encoders::tri_mip::{CHANNELS, FEATURES, PLANE_AXES, Pyramid, taps};
 
-/// Feature gradients of some tiles and, for each plane and band of rows, the samples that touch it.
+/// Feature gradients collected from several tiles and, for each plane and band of rows, the samples that touch the
+/// band.
 pub(crate) struct Gradient {
-    /// Place of each sample.
+    /// Position and radius of each sample.
     pub places: Buffer<Place>,
     /// Feature gradient of each sample, [samples, 48].
     pub rows: Buffer<f32>,
@@ -32,7 +33,7 @@ pub(crate) struct Gradient {
 #[derive(Clone, Copy, Pod, Zeroable)]
 pub(crate) struct Place {
     position: [f32; 3],
-    /// log2 of the radius, from which every touched band derives the levels that the sample reads.
+    /// log2 of the radius. Each band that the sample touches computes the sample's mip levels from it.
     log2_radius: f32,
 }
 
@@ -44,9 +45,9 @@ impl From<&Sphere> for Place {
 
 /// The rows of one band of one plane, on all levels.
 pub struct Band<'a> {
-    /// Number of the plane.
+    /// Index of the plane.
     pub plane: usize,
-    /// Number of the band in its plane.
+    /// Index of the band in its plane.
     pub band: usize,
     levels: Vec<LevelBand<'a>>,
 }
@@ -54,7 +55,7 @@ pub struct Band<'a> {
 /// The rows of a band that belong to one level.
 struct LevelBand<'a> {
     first_row: usize,
-    /// Floats in a row.
+    /// Number of floats in a row.
     row: usize,
     texels: &'a mut [f32],
     /// The touched columns of each row.
@@ -73,7 +74,8 @@ impl LevelBand<'_> {
 }
 
 impl<'a> Band<'a> {
-    /// All bands of all planes, by plane. `base` and `derived` are the gradients of the levels.
+    /// Returns the bands of all planes, ordered by plane. `base` and `derived` hold the gradients of level 0 and of the
+    /// levels above.
     pub fn all(
         pyramid: &Pyramid,
         division: &Division,
@@ -95,7 +97,7 @@ impl<'a> Band<'a> {
         bands
     }
 
-    /// Adds the next level, from the front of these slices.
+    /// Adds the band's rows on the next level, which it takes off the front of `texels` and `extents`.
     fn take_level(
         &mut self,
         pyramid: &Pyramid,
@@ -115,7 +117,7 @@ impl<'a> Band<'a> {
     }
 }
 
-/// Memory for a sum over one band; zero between uses.
+/// Scratch memory for the sum of one band; all zero between uses.
 #[derive(Default)]
 pub struct Scratch {
     texels: Buffer<f32>,
@@ -123,7 +125,7 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// Returns a band in this memory with the rows of `other`.
+    /// Returns a band in this memory that has the same rows as `other`.
     fn like(&mut self, pyramid: &Pyramid, division: &Division, other: &Band<'_>) -> Band<'_> {
         let floats: usize = other.levels.iter().map(|level| level.texels.len()).sum();
         let rows: usize = other.levels.iter().map(|level| level.extents.len()).sum();
@@ -138,20 +140,20 @@ impl Scratch {
     }
 }
 
-/// The reads of a sphere on a plane, at most two: level and weight.
+/// Returns the two mip levels that a sphere reads on a plane, with their weights. A level of weight 0 is not read.
 #[inline(always)]
 fn reads(pyramid: &Pyramid, plane: usize, log2_radius: f32) -> [(usize, f32); 2] {
     let blend = pyramid.blend(plane, log2_radius);
     [(blend.lower, 1.0 - blend.fraction), (blend.lower + 1, blend.fraction)]
 }
 
-/// Lists samples in every band that they touch.
+/// Lists each sample in every band that it touches.
 pub struct Sort<'a> {
     /// The planes.
     pub pyramid: &'a Pyramid,
     /// Division of the planes into bands.
     pub division: &'a Division,
-    /// Place of each sample.
+    /// Position and radius of each sample.
     pub places: &'a [Place],
     /// Index of the first sample.
     pub first: u32,
@@ -184,7 +186,7 @@ impl Kernel for Sort<'_> {
     }
 }
 
-/// Sums of gradients over bands.
+/// Sums gradients into bands.
 pub struct Sums<'a> {
     /// Instruction set.
     pub simd: Simd,
@@ -192,7 +194,7 @@ pub struct Sums<'a> {
     pub pyramid: &'a Pyramid,
     /// Division of the planes into bands.
     pub division: &'a Division,
-    /// Pool of unused memory.
+    /// Pool of unused scratch memory.
     pub scratch: &'a Mutex<Vec<Scratch>>,
 }
 
@@ -209,7 +211,7 @@ impl Sums<'_> {
         self.add_leaves(gradients, tree, own, band);
     }
 
-    /// Adds the sum of leaves to a band that is zero.
+    /// Adds the sum of the leaves `own` to a band that holds zeros.
     fn add_leaves(
         &self,
         gradients: &[&mut Gradient],
@@ -231,7 +233,8 @@ impl Sums<'_> {
         self.beside(band, |other| self.add_leaves(gradients, tree, right, other));
     }
 
-    /// Passes a temporary band of zeros to `fill`, then adds it to `band`. Returns the result of `fill`.
+    /// Passes a temporary band of zeros to `fill`, then adds the temporary band to `band`. Returns the result of
+    /// `fill`.
     fn beside<R>(&self, band: &mut Band<'_>, fill: impl FnOnce(&mut Band<'_>) -> R) -> R {
         let unused = || self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         let mut scratch = unused().pop().unwrap_or_default();
@@ -242,8 +245,8 @@ impl Sums<'_> {
         filled
     }
 
-    /// Adds the sums that the other ranks sent, indexed by rank, to a band that holds the sum of this rank. Only the common
-    /// levels of another rank's band are kept.
+    /// Adds the sums that the other ranks sent to a band that holds this rank's sum; `from` is indexed by rank. If another
+    /// rank owns the band, only the common levels of the band are kept.
     ///
     /// # Errors
     /// When a message is not what [`put`](Self::put) writes for this rank.
@@ -257,8 +260,8 @@ impl Sums<'_> {
         self.add_ranks(from, 0..from.len(), band)
     }
 
-    /// Adds the sums of `ranks` to a band in the order of the reduction tree. The band holds the sum of this rank if it is
-    /// among `ranks`, and zeros otherwise.
+    /// Adds the sums of `ranks` to a band in the order of the reduction tree. On entry, the band holds this rank's sum if
+    /// this rank is among `ranks`, and zeros otherwise.
     fn add_ranks(&self, from: &[&[u8]], ranks: Range<usize>, band: &mut Band<'_>) -> Result<()> {
         let own = self.division.this_rank.id;
         if ranks.len() == 1 {
@@ -267,7 +270,7 @@ impl Sums<'_> {
                 false => self.add_message(from[ranks.start], band),
             };
         }
-        // A sum of two has the same bits in either order.
+        // The half with this rank comes first; swapping two summands does not change the bits of their sum.
         let [left, right] = halves(ranks);
         let [here, other] = if right.contains(&own) { [right, left] } else { [left, right] };
         self.add_ranks(from, here, band)?;
@@ -277,7 +280,7 @@ impl Sums<'_> {
         self.beside(band, |beside| self.add_ranks(from, other, beside))
     }
 
-    /// The levels of a band that are sent to a rank.
+    /// Returns the levels of a band that are sent to rank `to`.
     fn levels(&self, to: Rank, band: &Band<'_>) -> Range<usize> {
         let Self { division, pyramid, .. } = self;
         let first_common = (0..pyramid.levels).find(|level| division.is_common(band.plane, *level));
@@ -298,7 +301,7 @@ impl Sums<'_> {
         }
     }
 
-    /// Adds the sum that another rank put for this one.
+    /// Adds the sum that another rank wrote for this rank.
     fn add_message(&self, message: &[u8], band: &mut Band<'_>) -> Result<()> {
         let levels = self.levels(self.division.this_rank, band);
         let mut reader = Reader::new(message);
@@ -317,7 +320,7 @@ impl Sums<'_> {
     }
 }
 
-/// Adds the samples of a set of partial gradients to a band.
+/// Adds the gradients of one set of partial gradients, sample by sample, to a band.
 struct SpreadBand<'a, 'b> {
     pyramid: &'a Pyramid,
     division: &'a Division,

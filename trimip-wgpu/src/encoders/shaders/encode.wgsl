@@ -49,7 +49,7 @@ fn encode(
     }
     let row = sample * (pyramid.stride / 4u);
     features[row + i % FOURS] = sum;
-    // Columns beyond the width are zero.
+    // The mip level is an additional feature; columns beyond it become zero.
     if i % FOURS == FOURS - 1u && pyramid.level_input == 1u {
         features[row + FOURS] = vec4<f32>(level_feature(log2(sphere.w), pyramid.reference), 0.0, 0.0, 0.0);
         for (var at = FOURS + 1u; at < pyramid.stride / 4u; at++) {

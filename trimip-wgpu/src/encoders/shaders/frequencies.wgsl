@@ -8,8 +8,8 @@
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
 @group(0) @binding(6) var<storage, read> spheres: array<vec4<f32>>;
 
-// Reduces an angle to about [-π, π] with 2π in two parts, because drivers compute inaccurate sines of large
-// angles.
+// Reduces an angle to about [-π, π], because drivers compute inaccurate sines of large angles. Multiples of 2π are
+// subtracted in two parts, for precision.
 fn reduced(angle: f32) -> f32 {
     let turns = round(angle * 0.15915494);
     return (angle - turns * 6.28125) - turns * 1.9353072e-3;

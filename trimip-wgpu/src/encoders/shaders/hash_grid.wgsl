@@ -24,7 +24,7 @@ fn corner_weight(cell: Cell, corner: u32) -> f32 {
     return along.x * along.y * along.z;
 }
 
-// Index of a corner's entry within all levels.
+// Returns the index of a corner's entry among the entries of all levels.
 fn corner_entry(level: Level, cell: Cell, corner: u32) -> u32 {
     let at = cell.lower + select(vec3<u32>(0u), vec3<u32>(1u), is_upper(corner));
     if level.side == 0u {
@@ -33,7 +33,8 @@ fn corner_entry(level: Level, cell: Cell, corner: u32) -> u32 {
     return level.first + (at.x + level.side * (at.y + level.side * at.z)) % level.entries;
 }
 
-// Weight of a level's features at a point with the standard deviation `deviation`, among all points.
+// Returns the weight of a level's features at a point with the standard deviation `deviation`, divided by the number of
+// points.
 fn downweight(scale: f32, deviation: f32) -> f32 {
     var level_weight = 1.0;
     if WEIGHTED == 1u {

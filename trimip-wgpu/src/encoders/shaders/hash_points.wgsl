@@ -1,4 +1,5 @@
-// The points at which a sample reads the grid; mirrors `trimip_core::field::encoders::hash_grid::Points`. One invocation per point.
+// Computes the points at which samples read the grid, one per invocation; mirrors
+// `trimip_core::field::encoders::hash_grid::Points`.
 
 @group(0) @binding(0) var<storage, read> rays: array<Ray>;
 @group(0) @binding(1) var<storage, read> owners: array<u32>;

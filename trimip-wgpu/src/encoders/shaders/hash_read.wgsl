@@ -1,7 +1,7 @@
 // Trilinear reads: one invocation reads one level for one sample.
 
 @group(0) @binding(0) var<storage, read> entries: array<f32>;
-// The points of samples: place in the unit cube, standard deviation in units of the box's longest side.
+// The points of samples: position in the unit cube, then standard deviation in units of the box's longest side.
 @group(0) @binding(1) var<storage, read> points: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> features: array<f32>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;
@@ -35,7 +35,7 @@ fn hash_read(
     for (var f = 0u; f < FEATURES; f++) {
         features[row + level * FEATURES + f] = sum[f];
     }
-    // Columns beyond the width are zero.
+    // Columns beyond the encoder's width become zero.
     if level + 1u == params.levels {
         for (var at = params.levels * FEATURES; at < params.stride; at++) {
             features[row + at] = 0.0;

@@ -1,6 +1,6 @@
-// Layout of the planes YZ, XZ and XY of one level. `sides` are the level's texels along x, y and z.
+// Layout of the planes YZ, XZ and XY of one level. `sides` are the numbers of texels of the level along x, y and z.
 
-// Number of columns and rows of a plane.
+// Returns the number of columns and rows of a plane.
 fn plane_shape(sides: vec3<u32>, plane: u32) -> vec2<u32> {
     switch plane {
         case 0u: { return sides.yz; }
@@ -9,7 +9,7 @@ fn plane_shape(sides: vec3<u32>, plane: u32) -> vec2<u32> {
     }
 }
 
-// Index of a plane's first texel. Returns the end of the level for plane 3.
+// Returns the index of a plane's first texel; for plane 3, the end of the level.
 fn plane_start(sides: vec3<u32>, plane: u32) -> u32 {
     var start = 0u;
     for (var before = 0u; before < plane; before++) {
@@ -25,7 +25,7 @@ struct Place {
     column: u32,
 }
 
-// Plane, row and column of a texel, given its index in the level.
+// Returns the plane, row and column of the texel with index `texel` in the level.
 fn place_of(sides: vec3<u32>, texel: u32) -> Place {
     var plane = 0u;
     while plane < 2u && texel >= plane_start(sides, plane + 1u) {
@@ -36,7 +36,7 @@ fn place_of(sides: vec3<u32>, texel: u32) -> Place {
     return Place(plane, at / columns, at % columns);
 }
 
-// Index of the texel at `place` in the level with these `sides`.
+// Returns the index of the texel at `place` in the level with these `sides`.
 fn texel_at(sides: vec3<u32>, place: Place) -> u32 {
     return plane_start(sides, place.plane) + place.row * plane_shape(sides, place.plane).x + place.column;
 }

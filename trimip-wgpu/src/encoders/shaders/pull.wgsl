@@ -1,5 +1,5 @@
-// Pulls gradients down the mip levels: each texel gets a quarter of its parent's gradient. One invocation computes
-// four channels of one texel. `own_gradient` reads the sum that `scatter` wrote.
+// Adds gradients of coarse mip levels to finer levels: each texel gets a quarter of its parent's gradient. One
+// invocation computes four channels of one texel. `own_gradient` reads the sum that `scatter` wrote.
 
 @group(0) @binding(0) var<storage, read_write> fine: array<vec4<u32>>;
 @group(0) @binding(1) var<storage, read_write> coarse: array<vec4<u32>>;

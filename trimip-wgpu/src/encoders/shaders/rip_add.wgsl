@@ -1,5 +1,5 @@
-// Adds feature gradients to the gradients of ripmaps: one invocation adds four channels of one plane of one sample.
-// `add_base` defines the addition.
+// Adds feature gradients to the gradients of ripmaps: one invocation adds four channels of one plane of one sample. The
+// variant of `add_base` determines how values are added.
 
 @group(0) @binding(0) var<storage, read> gradients: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> counts: array<u32>;

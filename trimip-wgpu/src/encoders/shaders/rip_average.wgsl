@@ -1,4 +1,4 @@
-// Levels of ripmaps: copies of the base, then means of pairs of texels.
+// Computes the levels of ripmaps: copies the base, then averages pairs of texels.
 
 @group(0) @binding(1) var<storage, read> base: array<vec4<f32>>;
 

@@ -9,8 +9,8 @@ struct Gaussian {
     along: f32,
 }
 
-// The Gaussian of a conical frustum. `extent` is the size of the unit cube, `interval` the distance of its midpoint
-// from the apex and its length, world units.
+// Returns the Gaussian of a conical frustum. `extent` is the size of the unit cube. `interval` holds the distance of
+// the frustum's midpoint from the apex, and the frustum's length. Both are in world units.
 fn gaussian_of(sphere: vec4<f32>, extent: vec3<f32>, direction: vec3<f32>, interval: vec2<f32>) -> Gaussian {
     let half = 0.5 * interval.y;
     let ratio = half / interval.x;

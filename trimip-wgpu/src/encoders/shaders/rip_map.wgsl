@@ -3,7 +3,7 @@
 @group(0) @binding(1) var<storage, read> gaussians: array<Gaussian>;
 @group(0) @binding(2) var<uniform> params: Params;
 
-// The place of a Gaussian along the two axes of a plane, and the levels that it blends along each.
+// The position of a Gaussian along the two axes of a plane, and the levels that it blends along each axis.
 struct Projection {
     at: vec2<f32>,
     blends: array<Blend, 2>,
@@ -24,7 +24,8 @@ fn project(gaussian: Gaussian, plane: u32, levels: u32) -> Projection {
     return Projection(at, array<Blend, 2>(along, across));
 }
 
-// One of the four combinations of levels: bit 0 of `which` takes the coarser level along the rows, bit 1 across them.
+// One of the four combinations of levels: bit 0 of `which` selects the coarser level along the rows, bit 1 the coarser
+// level across them.
 struct Read {
     levels: vec2<u32>,
     level_weight: f32,
@@ -46,7 +47,7 @@ fn read_taps(projection: Projection, plane: u32, levels: vec2<u32>) -> Taps {
     return texel_taps(planes[plane].sides >> levels, projection.at);
 }
 
-// Index in all ripmaps of the texel at a row and a column of a level.
+// Returns the index, in the array of all ripmaps, of the texel at `row` and `column` of a level.
 fn read_texel(plane: u32, levels: vec2<u32>, row: u32, column: u32) -> u32 {
     let first = vec2<u32>(level_first(plane, 0u, levels.x), level_first(plane, 1u, levels.y));
     return map_texel(plane, params.levels, first.y + row, first.x + column);

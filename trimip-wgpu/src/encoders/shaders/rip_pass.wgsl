@@ -1,19 +1,19 @@
-// Passes over all ripmaps. One invocation computes four channels of one texel of a level along the rows or across
-// them.
+// Passes over all ripmaps, along the rows (axis 0) or across them (axis 1). One invocation computes four channels of
+// one texel of a level.
 
 @group(0) @binding(0) var<storage, read_write> maps: array<vec4<f32>>;
 @group(0) @binding(2) var<uniform> pass_: Pass;
 
-// A texel of level `pass_.level` along an axis: its plane, and its row and column in the level. Along the rows, these
-// are all rows of the ripmap; across them, the columns of level 0.
+// A texel of level `pass_.level` along an axis: its plane, and its row and column in the level. A level along the rows
+// has all rows of the ripmap; a level across the rows has the columns of level 0.
 struct Texel {
-    // The number of planes if there is no such texel.
+    // Index of the plane; the number of planes if there is no such texel.
     plane: u32,
     row: u32,
     column: u32,
 }
 
-// Columns and rows of level `pass_.level` along `axis` in a plane's ripmap.
+// Returns the numbers of columns and rows of level `pass_.level` along `axis` in a plane's ripmap.
 fn part_sides(plane: u32, axis: u32) -> vec2<u32> {
     let sides = planes[plane].sides;
     if axis == 0u {
@@ -34,13 +34,13 @@ fn part_texel(index: u32, axis: u32) -> Texel {
     return Texel(pass_.planes, 0u, 0u);
 }
 
-// Index in all ripmaps of a texel of a level along an axis.
+// Returns the index, in the array of all ripmaps, of a texel of `level` along `axis`.
 fn part_index(plane: u32, axis: u32, level: u32, row: u32, column: u32) -> u32 {
     let first = level_first(plane, axis, level);
     return map_texel(plane, pass_.levels, row + select(0u, first, axis == 1u), column + select(first, 0u, axis == 1u));
 }
 
-// Index of one of the two texels of the next finer level that a texel covers.
+// Returns the index of one of the two texels on the next finer level that `texel` covers.
 fn finer_index(texel: Texel, axis: u32, which: u32) -> u32 {
     let row = select(texel.row, 2u * texel.row + which, axis == 1u);
     let column = select(2u * texel.column + which, texel.column, axis == 1u);

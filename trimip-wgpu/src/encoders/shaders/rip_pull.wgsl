@@ -1,4 +1,5 @@
-// Gradients of ripmaps from coarse to fine: each texel gives half of its gradient to the two texels that it averages.
+// Adds gradients of coarse levels of ripmaps to finer levels: each texel adds half of its gradient to each of the two
+// texels that it averages.
 
 @group(0) @binding(1) var<storage, read_write> base: array<vec4<f32>>;
 

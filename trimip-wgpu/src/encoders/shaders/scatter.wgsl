@@ -1,5 +1,6 @@
-// Scatters feature gradients to texel gradients of all levels: one invocation adds four channels of one plane of one
-// sample. `add_base` and `add_derived` define the addition and the buffers `base` and `derived`.
+// Adds feature gradients to texel gradients of all levels: one invocation adds four channels of one plane of one
+// sample. The variant of `add_base` and `add_derived` determines how values are added, and declares the buffers `base`
+// and `derived`.
 
 @group(0) @binding(0) var<storage, read> gradients: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;

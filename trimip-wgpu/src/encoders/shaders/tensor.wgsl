@@ -9,11 +9,11 @@ struct Feature {
     kind: u32,
     plane: u32,
     component: u32,
-    // Components of the tensor, in units of four.
+    // Number of components of the tensor, in units of four.
     width: u32,
 }
 
-// The factors of group `at` of four features.
+// Returns the factors of the group of four features with index `at`.
 fn feature(at: u32) -> Feature {
     let copies = max(params.planes, 1u);
     let density = params.components.x * copies;
@@ -24,7 +24,7 @@ fn feature(at: u32) -> Feature {
     return Feature(1u, rest / params.components.y, rest % params.components.y, params.components.y);
 }
 
-// Axes of a plane, and the axis of the line across it.
+// Returns the two axes of a plane, and the axis of the line perpendicular to the plane.
 fn axes(plane: u32) -> vec3<u32> {
     return select(select(vec3<u32>(1u, 2u, 0u), vec3<u32>(0u, 2u, 1u), plane == 1u), vec3<u32>(0u, 1u, 2u), plane == 0u);
 }
@@ -41,7 +41,8 @@ fn along(axis: u32, position: vec3<f32>) -> Along {
     return Along(u32(lower), at - lower);
 }
 
-// Index of a component of the grid point before a place on a line; the next point is `width` later.
+// Returns the index of the feature's component at grid point `lower` of a line; the next grid point follows `f.width`
+// later.
 fn line_index(f: Feature, line: u32, lower: u32) -> u32 {
     var first = params.starts[2u * f.kind + 1u];
     for (var l = 0u; l < line; l++) {
@@ -56,8 +57,8 @@ fn line_value(f: Feature, line: u32, position: vec3<f32>) -> vec4<f32> {
     return (1.0 - place.upper) * factors[at] + place.upper * factors[at + f.width];
 }
 
-// The cell of a plane around a place: the index of a component at its first corner, the distance to the next row,
-// and the fractions along the axes.
+// The cell of a plane that contains a position: the index of a component at the cell's first corner, the distance to
+// the next row, and the position's fractions along the two axes.
 struct Cell {
     at: u32,
     columns: u32,

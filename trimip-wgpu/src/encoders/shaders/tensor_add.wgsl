@@ -1,5 +1,5 @@
-// Adds feature gradients to gradients of factors: one invocation per four features of a sample. `add_base` defines the
-// addition.
+// Adds feature gradients to the gradients of factors: one invocation per four features of a sample. The variant of
+// `add_base` determines how values are added.
 
 @group(0) @binding(0) var<storage, read> gradients: array<vec4<f32>>;
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;

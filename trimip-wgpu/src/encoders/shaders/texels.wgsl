@@ -1,11 +1,12 @@
-// Levels and texels of a bilinear read; mirrors `LevelBlend` and `taps` in `trimip_core::field::encoders::tri_mip`.
+// Mip levels and texels of a bilinear read; mirrors `LevelBlend` and `taps` in `trimip_core::field::encoders::tri_mip`.
 
 struct Blend {
     lower: u32,
     fraction: f32,
 }
 
-// The blend at `level`, clamped to [0, levels - 1].
+// Returns the two levels around `level`, which is clamped to [0, levels - 1], as the lower level and the weight of the
+// upper level.
 fn blend_at(level: f32, levels: u32) -> Blend {
     if !(level > 0.0) || levels == 1u {
         return Blend(0u, 0.0);

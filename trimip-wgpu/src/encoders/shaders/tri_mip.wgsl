@@ -1,6 +1,6 @@
 // Mirrors `trimip_core::field::encoders::tri_mip`: the level of a sphere (Eq. 5) and the texels that a query reads.
 
-// Coordinates along a row of texels and across the rows.
+// Returns a position's coordinates along a row of texels and across the rows.
 fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
     switch plane {
         case 0u: { return position.yz; }
@@ -9,7 +9,8 @@ fn plane_axes(position: vec3<f32>, plane: u32) -> vec2<f32> {
     }
 }
 
-// Index of the first texel of `level` of `plane`. Level 0 starts the parameters, level 1 the derived levels.
+// Returns the index of the first texel of `plane` on `level`. Level 0 lies at the start of the parameters, level 1 at
+// the start of the derived levels.
 fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
     var start = plane_start(pyramid.sides >> vec3<u32>(level), plane);
     for (var l = 1u; l < level; l++) {
@@ -18,7 +19,7 @@ fn level_start(pyramid: Pyramid, level: u32, plane: u32) -> u32 {
     return start;
 }
 
-// A sphere's level as an input of the networks: log2(r / r̈) in units of LEVELS_PER_UNIT.
+// Returns a sphere's level as an input of the networks: log2(r / r̈) in units of LEVELS_PER_UNIT, clamped.
 fn level_feature(log2_radius: f32, reference: f32) -> f32 {
     return clamp((log2_radius - reference) / LEVELS_PER_UNIT, -MOST_LEVEL_INPUT, MOST_LEVEL_INPUT);
 }

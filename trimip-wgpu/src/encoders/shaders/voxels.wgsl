@@ -30,7 +30,7 @@ fn corner_point(cell: Cell, corner: u32) -> u32 {
     return cell.point + (upper.z * params.sides.y + upper.y) * params.sides.x + upper.x;
 }
 
-// Index of the first coefficient of a channel at a grid point.
+// Returns the index of the first coefficient of a channel at a grid point.
 fn color_at(point: u32, channel: u32) -> u32 {
     return params.colors + (3u * point + channel) * params.harmonics;
 }

@@ -1,4 +1,5 @@
-// Reads of the grid: one invocation computes one of the four features of a sample, and a quarter of the zeros after them.
+// Reads the grid: one invocation computes one of the four features of a sample, and writes a quarter of the zeros after
+// the features.
 
 @group(0) @binding(0) var<storage, read> values: array<f32>;
 @group(0) @binding(1) var<storage, read> spheres: array<vec4<f32>>;

@@ -1,4 +1,5 @@
-// Arguments of dispatches whose size depends on a count on the device; at most MOST_GROUPS workgroups along x.
+// Computes the arguments of a dispatch whose size depends on a counter on the device: at most MOST_GROUPS workgroups
+// along x.
 
 @group(0) @binding(0) var<storage, read> counts: array<u32>;
 @group(0) @binding(1) var<storage, read_write> arguments: array<u32>;

@@ -1,7 +1,8 @@
-// The probability that a cone ends at the point of its pixel, and its gradient with respect to the densities of its samples; mirrors
-// `trimip_core::field::losses::depth`. `at` is the first word of the pixel's target.
+// The depth term: a logarithmic loss of the probability that a cone ends at the known point of its pixel, and its gradient with
+// respect to the densities of the cone's samples; mirrors `trimip_core::field::losses::depth`. `at` is the first word of the
+// pixel's target.
 
-// Weight of the Gaussian around the point at sample `j`.
+// Returns the weight at sample `j` of the Gaussian around the point.
 fn near_point(j: u32, at: u32) -> f32 {
     let off = intervals[j].x - targets[at + TARGET_DISTANCE];
     let deviation = targets[at + TARGET_DEVIATION];
@@ -9,7 +10,7 @@ fn near_point(j: u32, at: u32) -> f32 {
     return exp(-0.5 * off * off / (deviation * deviation + length * length));
 }
 
-// The loss of a cone, times `fraction`.
+// Returns the loss of a cone, times `fraction`.
 fn depth(cone: u32, at: u32, fraction: f32) -> f32 {
     let segment = segments[cone];
     if segment.y == 0u || targets[at + TARGET_DEVIATION] == 0.0 {

@@ -1,28 +1,28 @@
-// The distortion of the weights of a cone's samples and its gradient with respect to their densities; mirrors
-// `trimip_core::field::losses::distortion`.
+// The distortion of the weights of a cone's samples, and its gradient with respect to the densities of the samples;
+// mirrors `trimip_core::field::losses::distortion`.
 
 // A sample, and sums over the samples in front of it.
 struct Walk {
     weight: f32,
-    // Transmittance behind the sample, and optical depth up to there.
+    // Transmittance behind the sample, and optical depth up to its far end.
     transmittance: f32,
     depth: f32,
     place: f32,
     width: f32,
-    // Distance to the sample before, and to the first one.
+    // Distance to the previous sample, and distance to the first sample.
     gap: f32,
     from_first: f32,
-    // Sum of the weights in front, and of the weights times their distances.
+    // Sum of the weights of the samples in front, and sum of these weights times the distances of their samples.
     before: f32,
     in_front: f32,
 }
 
-// Begins at the place of the first sample.
+// Begins a walk at the position of the first sample.
 fn begin(place: f32) -> Walk {
     return Walk(0.0, 1.0, 0.0, place, 0.0, 0.0, 0.0, 0.0, 0.0);
 }
 
-// Moves on to a sample of optical depth `depth`.
+// Moves on to the next sample, which has the optical depth `depth`.
 fn advance(walk: Walk, depth: f32, at: vec2<f32>) -> Walk {
     var next = walk;
     next.gap = at.x - walk.place;
@@ -37,7 +37,7 @@ fn advance(walk: Walk, depth: f32, at: vec2<f32>) -> Walk {
     return next;
 }
 
-// The loss of a cone, times `fraction`.
+// Returns the loss of a cone, times `fraction`.
 fn distortion(cone: u32, at: u32, fraction: f32) -> f32 {
     let segment = segments[cone];
     if segment.y == 0u {

@@ -1,9 +1,9 @@
 // Photographs of different exposures: the part of a pixel's colour that is not background is multiplied by the
-// photograph's gain. The derivatives by the logarithms of the gains are summed in 64-bit fixed point, bit-identical in
-// any order.
+// photograph's gain. The derivatives with respect to the logarithms of the gains are summed in 64-bit fixed point, so
+// their sums are bit-identical in any order.
 
 @group(0) @binding(9) var<storage, read> photographs: array<u32>;
-// Three gains of each photograph; then, for each of its channels, the low and the high word of a sum.
+// The three gains of every photograph; then, for every channel of every photograph, the low and the high word of a sum.
 @group(0) @binding(10) var<storage, read_write> exposures: array<atomic<u32>>;
 
 fn gain_of(photograph: u32) -> vec3<f32> {
@@ -14,14 +14,14 @@ fn gain_of(photograph: u32) -> vec3<f32> {
     return gain;
 }
 
-// The colour that is compared; mirrors `trimip_core::engine::exposure`.
+// Returns the colour that is compared with the photograph; mirrors `trimip_core::field::losses::exposure`.
 fn exposed(i: u32, shown: vec3<f32>, behind: vec3<f32>) -> vec3<f32> {
     return gain_of(photographs[i]) * (shown - behind) + behind;
 }
 
-// Converts the gradient with respect to the compared colour to that with respect to the shown colour. `own` is the
-// compared colour without its background. Adds the derivatives by the photograph's log-gains. Gains and slopes are
-// bounded, so every number fits.
+// Converts the gradient with respect to the compared colour to the gradient with respect to the shown colour. `own` is
+// the compared colour without its background. Adds the derivatives with respect to the logarithms of the photograph's
+// gains. Gains and slopes are bounded, so every number fits.
 fn unexposed(i: u32, by_seen: vec3<f32>, own: vec3<f32>) -> vec3<f32> {
     let photograph = photographs[i];
     for (var c = 0u; c < 3u; c++) {

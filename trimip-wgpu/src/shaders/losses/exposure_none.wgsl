@@ -1,4 +1,4 @@
-// Photographs of one exposure: rendered colours are compared as they are.
+// All photographs have the same exposure: rendered colours are compared unchanged.
 
 fn exposed(i: u32, shown: vec3<f32>, behind: vec3<f32>) -> vec3<f32> {
     return shown;

@@ -1,5 +1,5 @@
-// The opacity of a pixel against the alpha of its photograph; mirrors `trimip_core::field::losses::opacity`. `at` is the first word of
-// the pixel's target.
+// Compares the opacity of a pixel with the alpha of its photograph; mirrors `trimip_core::field::losses::opacity`. `at` is the first
+// word of the pixel's target.
 
 fn opacity(
     pixel: vec4<f32>,

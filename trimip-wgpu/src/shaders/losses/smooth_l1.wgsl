@@ -1,5 +1,5 @@
-// Smooth-L1: value and derivative at `difference`; mirrors `trimip_core::field::losses::smooth_l1`. `numbers.x` is the size up to
-// which it is quadratic.
+// Returns the value and the derivative of the smooth L1 loss at `difference`; mirrors `trimip_core::field::losses::smooth_l1`.
+// The loss is quadratic for differences up to `numbers.x`.
 
 fn smooth_l1(difference: f32, numbers: vec3<f32>) -> vec2<f32> {
     let beta = numbers.x;

@@ -1,6 +1,6 @@
 // Panoramas; mirrors `trimip_core::geometry::projections::equirectangular`.
 
-// The cone of a longitude and a latitude.
+// Returns the cone of a pixel, whose position gives a longitude and a latitude.
 fn cone_equirectangular(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     let angles = vec2<f32>(PI, -PI) * (at - view.intrinsics.zw) / view.intrinsics.xy;
     if !(abs(angles.y) <= 0.5 * PI) {

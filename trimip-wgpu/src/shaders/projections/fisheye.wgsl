@@ -1,6 +1,6 @@
 // Fisheye images; mirrors `trimip_core::geometry::projections::fisheye`. Needs `perspective.wgsl`.
 
-// The cone of a fisheye.
+// Returns the cone of a fisheye's pixel.
 fn cone_fisheye(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     let unbent = unbend(view, (at - view.intrinsics.zw) / view.intrinsics.xy);
     if !(unbent.area > 0.0) {

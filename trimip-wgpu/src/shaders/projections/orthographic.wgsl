@@ -1,6 +1,6 @@
 // Orthographic images; mirrors `trimip_core::geometry::projections::orthographic`.
 
-// The cone of parallel rays: a cylinder.
+// Returns the cone of a pixel. The rays are parallel, so it is a cylinder.
 fn cone_orthographic(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     let place = (at - view.intrinsics.zw) / view.intrinsics.xy;
     let by = 1.0 / view.intrinsics.xy;

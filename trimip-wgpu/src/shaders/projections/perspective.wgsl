@@ -8,7 +8,7 @@ struct Unbent {
     area: f32,
 }
 
-// The undistorted coordinates of an image; mirrors `Lens::unbend`.
+// Returns the undistorted coordinates of the distorted coordinates `image`; mirrors `Lens::unbend`.
 fn unbend(view: View, image: vec2<f32>) -> Unbent {
     let k = view.radial;
     let d = view.denominator.xyz;
@@ -51,13 +51,13 @@ fn unbend(view: View, image: vec2<f32>) -> Unbent {
     return Unbent(at, 0.0);
 }
 
-// Radius of the sphere inscribed in a cone per unit of distance along its axis (Eq. 3 with f = 1).
+// Returns the radius of the sphere inscribed in a cone, per unit of distance along the cone's axis (Eq. 3 with f = 1).
 fn sphere_slope(disc: f32, tangent: f32, cosine: f32) -> f32 {
     let inner = tangent - disc;
     return disc * cosine / sqrt(inner * inner + 1.0);
 }
 
-// The cone through a disc around (x, y) on the plane at distance 1.
+// Returns the cone through a disc around (x, y) on the plane at distance 1.
 fn cone_through(at: vec2<f32>, disc: f32) -> LocalCone {
     let v = -at.y;
     let tangent = sqrt(at.x * at.x + v * v);
@@ -65,7 +65,7 @@ fn cone_through(at: vec2<f32>, disc: f32) -> LocalCone {
     return central_cone(vec3<f32>(at.x, v, -1.0), cosine, sphere_slope(disc, tangent, cosine), cosine);
 }
 
-// The cone of a perspective lens.
+// Returns the cone of a perspective lens's pixel.
 fn cone_perspective(view: View, at: vec2<f32>, side: f32) -> LocalCone {
     let unbent = unbend(view, (at - view.intrinsics.zw) / view.intrinsics.xy);
     if !(unbent.area > 0.0) {
