@@ -262,7 +262,7 @@ fn one_system_is_trained_by_its_name_and_settings_lie_over_it() {
         let line = shown.out.lines().find(|line| line.starts_with(key)).unwrap_or_else(|| panic!("{key}"));
         line.split_once('=').unwrap().1.trim().to_string()
     };
-    assert!(value("log2_entries").starts_with("15") && value("log2_entries").contains("--set"));
+    assert!(value("log2_entries").starts_with("15") && value("log2_entries").contains("command line"));
     assert!(value("kind").contains("hash-grid") && value("kind").contains("trimip/systems/ngp.toml"));
     refuses(here, &["config", "--system", "nerf"], &["system `nerf`", "ngp-17"]);
     scenes(here);
