@@ -156,7 +156,7 @@ def test_the_readme_shows_a_function_that_runs(cli, tmp_path):
     shown = readme.split("```python\n")[1].split("```")[0]
     small = ["--set", "data.builtin_size=16", "--set", "data.builtin_train=4", "--set", "data.builtin_test=2"]
     scene = tmp_path / "scene"
-    answer = cli("data", "multiscale", "--set", "data.format=builtin", *small, "--out", scene)
+    answer = cli("data", "builtin", scene, *small)
     assert answer.returncode == 0, answer.stderr
     names = {}
     exec(shown, names)

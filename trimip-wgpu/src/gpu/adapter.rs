@@ -122,14 +122,14 @@ fn choose_among(mut adapters: Vec<wgpu::Adapter>, name: &str) -> Result<wgpu::Ad
     })
 }
 
-/// Returns the full name of the adapter that [`choose`] returns for `name`, if it is a software adapter, which runs on
+/// Returns the full name of the adapter that `choose` returns for `name`, if it is a software adapter, which runs on
 /// the processor.
 pub fn software(name: &str) -> Option<String> {
     let info = choose(name).ok()?.get_info();
     (info.device_type == wgpu::DeviceType::Cpu).then_some(info.name)
 }
 
-/// Returns the size in bytes of the largest binding of the adapter that [`choose`] returns for `name`, if there is one.
+/// Returns the size in bytes of the largest binding of the adapter that `choose` returns for `name`, if there is one.
 pub fn largest_binding(name: &str) -> Option<u64> {
     choose(name).ok().map(|adapter| adapter.limits().max_storage_buffer_binding_size)
 }
