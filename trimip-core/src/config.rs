@@ -9,6 +9,7 @@ pub(crate) mod defaults;
 mod encoders;
 mod foreign;
 mod loss;
+pub(crate) mod origin;
 mod range;
 pub mod schedule;
 mod sections;

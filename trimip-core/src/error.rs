@@ -1,7 +1,7 @@
 //! The error type of the workspace. An [`Error`] holds its cause, the place of the fault, what was found there and what to do, each
 //! as data. Its text is one line. A program may phrase places and advice in its own terms, see [`Error::text_with`].
 
-use crate::Origin;
+use crate::config::origin::Origin;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt::{self, Display};

@@ -35,7 +35,8 @@ pub mod text;
 pub use config::{
     Config, Crop,
     defaults::{Definitions, DocumentedSection, DocumentedSetting, ForeignSection, Fragment},
-    settings::{Origin, Settings, checker::Checker, section::Section, setting_value::SettingValue},
+    origin::Origin,
+    settings::{Settings, checker::Checker, section::Section, setting_value::SettingValue},
 };
 pub use engine::{
     backend::{Backend, Encoder, Field, Optimizer, Renderer},

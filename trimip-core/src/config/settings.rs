@@ -10,10 +10,11 @@ pub(crate) mod text;
 pub(crate) mod values;
 
 use crate::config::defaults::{Definitions, Placed};
+use crate::config::origin::Origin;
 use crate::{Advice, Error, Place, Result};
 use checker::Checker;
 use earlier::{RETIRED, renamed};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use setting_value::SettingValue;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,44 +22,6 @@ use text::parts_of;
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 use values::{fit, is_plain, parsed, plain, shown};
-
-/// Source of an effective value.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Origin {
-    /// The table of defaults.
-    Default,
-    /// A configuration file: `file:line:column`.
-    File(String),
-    /// The command line.
-    CommandLine,
-    /// A program that uses the library.
-    Code,
-    /// The scene plan.
-    Plan,
-}
-
-impl std::fmt::Display for Origin {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Default => f.write_str("default"),
-            Self::File(place) => f.write_str(place),
-            Self::CommandLine => f.write_str("command line"),
-            Self::Code => f.write_str("settings"),
-            Self::Plan => f.write_str("scene plan"),
-        }
-    }
-}
-
-/// Parses the text that [`Display`](std::fmt::Display) writes.
-impl From<&str> for Origin {
-    fn from(text: &str) -> Self {
-        let known = [Self::Default, Self::CommandLine, Self::Code, Self::Plan];
-        // Reports of earlier versions name the command line `--set`.
-        let text = if text == "--set" { "command line" } else { text };
-        let found = known.into_iter().find(|origin| origin.to_string() == text);
-        found.unwrap_or_else(|| Self::File(text.into()))
-    }
-}
 
 /// Effective values and origins of all settings, by dotted path. Serialised as a table of sections.
 #[derive(Clone)]
@@ -379,11 +342,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn origins_are_read_back() {
-        let file = Origin::File("run.toml:3:1".into());
-        for origin in [Origin::Default, file, Origin::CommandLine, Origin::Code, Origin::Plan] {
-            assert_eq!(Origin::from(&*origin.to_string()), origin);
-        }
+    fn origins_are_set_and_the_default_restores_its_value() {
         let mut settings = Settings::defaults();
         settings.set_origin("seed", Origin::Plan);
         settings.set_origin("nothing.of.this", Origin::Plan);
