@@ -360,8 +360,9 @@ fn names(text: &str, word: &str) -> bool {
 /// Returns a source without its tests and comments.
 fn code(text: &str) -> String {
     let text = text.find("#[cfg(test)]\nmod tests").map_or(text, |at| &text[..at]);
-    // A setting's meaning is a comment of its table.
     let lines = text.lines().map(|line| line.split(" # ").next().unwrap_or(line).trim_start());
+    // The meaning of a setting is prose, at the end of its line.
+    let lines = lines.map(|line| line.split(" meaning = ").next().unwrap_or(line));
     let lines = lines.filter(|line| !line.starts_with("//") && !line.starts_with('#'));
     lines.map(|line| line.to_string() + "\n").collect()
 }

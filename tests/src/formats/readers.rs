@@ -86,7 +86,7 @@ fn others() -> [Format; 15] {
             |b| 8 * b.len() + FIXED,
         ),
         of("configuration", &["run.toml"], configuration, seeds::configurations, |b| 400 * b.len() + FIXED),
-        of("assignment", &["set "], assignment, seeds::assignments, |b| 400 * b.len() + FIXED),
+        of("assignment", &["set", "command line"], assignment, seeds::assignments, |b| 400 * b.len() + FIXED),
         of("path", &["path.json"], path, seeds::paths, |b| 160 * b.len() + FIXED),
         // Proxies and packed models are compressed: DEFLATE expands one byte to at most 1032 bytes, each of which may become a float.
         of("model", &["model.safetensors", "the model's proxy"], model, seeds::models, |b| {

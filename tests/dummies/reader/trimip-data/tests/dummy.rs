@@ -57,7 +57,8 @@ fn what_does_not_fit_is_refused_with_its_place() {
         rail(folder.path(), line);
         let error = open(&settings(folder.path(), 1)).expect_err(line);
         let place = format!("{}:10: ", folder.path().join("dummy.txt").display());
-        assert!(error.kind() == trimip_core::ErrorKind::Input && error.message().starts_with(&place), "{error}");
+        assert_eq!(error.kind(), trimip_core::ErrorKind::Input, "{error}");
+        assert!(error.message().starts_with(&place), "{error}");
         assert!(error.message().contains(what), "{line}: {error}");
     }
 }

@@ -13,7 +13,7 @@ use crate::{
 };
 use glam::{DMat3, DVec3};
 use std::path::{Path, PathBuf};
-use trimip_core::{Camera, Error, Intrinsics, Lens, Result, text::without_mark};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result, text::without_mark};
 
 const FILE: &str = "dummy.txt";
 
@@ -41,14 +41,14 @@ fn cameras(name: &str, bytes: &[u8]) -> Result<NamedCameras> {
 
 /// A line of the file.
 struct Line {
-    place: String,
+    place: Place,
     photograph: String,
     focal: f64,
     origin: DVec3,
 }
 
 impl Line {
-    fn new(place: String, text: &str) -> Result<Self> {
+    fn new(place: Place, text: &str) -> Result<Self> {
         let wrong =
             |what: &str| Error::input(&place, what, "write the photograph, its focal length, and x, y, z");
         let mut words = text.split_whitespace();
@@ -78,7 +78,7 @@ fn lines(name: &str, bytes: &[u8]) -> Result<Vec<Line>> {
     let text = String::from_utf8_lossy(without_mark(bytes));
     let written = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
     let lines: Vec<Line> =
-        written.map(|(line, number)| Line::new(format!("{name}:{number}"), line)).collect::<Result<_>>()?;
+        written.map(|(line, number)| Line::new(Place::line(name, number), line)).collect::<Result<_>>()?;
     match lines.is_empty() {
         true => Err(Error::input(name, "names no photograph", "write a line for each")),
         false => Ok(lines),
