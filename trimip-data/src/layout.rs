@@ -50,7 +50,7 @@ impl Layout {
         self.scene.undivided()
     }
 
-    /// Returns all frames from which a list of test frames chooses: those of the file without splits, or those of the
+    /// Returns all frames from which a list of test frames chooses: all frames of a file without splits, or the frames of the
     /// splits `data.train` and `data.test`.
     pub(crate) fn listable(&self, config: &DataConfig) -> Result<Vec<Split>> {
         if !self.reader.divisible {

@@ -1,5 +1,5 @@
-//! Tests of exports of other programs: cameras written by the conventions of OpenSfM, Bundler and Polycam are read as
-//! those of a transforms file, and errors name what is broken.
+//! Tests of exports of other programs. Cameras written in the conventions of OpenSfM, Bundler and Polycam are read as the same
+//! cameras that a transforms file gives, and errors name the broken entry.
 
 use crate::common::{
     ring::{assert_cameras, cameras, name, polycam, save_images, vision},

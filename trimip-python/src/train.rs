@@ -139,7 +139,7 @@ fn given(
 /// `config` is a dictionary of settings or the path of a configuration file; `settings` overrides it, and `system` is one of `systems()`.
 /// `out` defaults to `runs/<name>`. `callback` receives every event as a dictionary. If the callback returns False or raises an exception,
 /// the run stops after the current step and saves; it does the same at Ctrl-C and then raises KeyboardInterrupt. The same call resumes the
-/// run, and the result is bit-identical to that of an uninterrupted run. The run folder has the same files as one of trimip-cli.
+/// run, and the resumed run is bit-identical to an uninterrupted run. The run folder has the files that trimip-cli writes.
 #[pyfunction]
 #[pyo3(signature = (config=None, out=None, *, settings=None, system=None, callback=None, fresh=false))]
 #[expect(clippy::too_many_arguments, reason = "keywords in Python")]

@@ -24,7 +24,7 @@ pub struct Inspection {
 /// Opens the scene that the settings name, plans its space and checks it. Progress of reading goes to `watch`.
 ///
 /// # Errors
-/// Those of [`trimip_data::open`], of kind `Input`, one line each.
+/// When [`trimip_data::open`] refuses the scene; the error has the kind `Input`.
 pub fn inspect(mut settings: Settings, watch: Watch<'_>) -> Result<Inspection> {
     let configured = Config::from_settings(&settings)?;
     let seen = examine(&configured.section()?, watch)?;

@@ -66,3 +66,8 @@ pub use trimip_core::{
     run::evaluate,
     scene_plan,
 };
+
+/// Compiles the program in the README of the crate.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -166,8 +166,8 @@ impl Place {
         self.model_in(&format!("fake/models/{number}"), views, &[], name);
     }
 
-    /// Adds two COLMAP models of all photographs under their own names: one of the mapper, in which the cameras `lost` are far away, and
-    /// one of the mapper without distortion, in which the cameras `undistorted` are.
+    /// Adds two COLMAP models of all photographs under their own names. In the model of the mapper, the cameras `lost` are far away; in
+    /// the model of the mapper without distortion, the cameras `undistorted` are far away.
     pub fn lost_models(&self, lost: &[usize], undistorted: &[usize]) {
         let whole: Vec<usize> = (0..VIEWS).collect();
         for (folder, lost) in [("fake/models/0", lost), ("fake/undistorted/models/0", undistorted)] {

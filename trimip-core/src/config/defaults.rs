@@ -104,6 +104,9 @@ impl Definitions {
 
     /// Returns the definitions of core's settings and those of `sections`. `absent` names the sections of crates that this
     /// build lacks: their settings are kept as given, and nothing reads them.
+    ///
+    /// # Panics
+    /// If a fragment's table, which is compiled into its crate, is not a table of settings.
     pub fn new(sections: &[ForeignSection], absent: &[&'static str]) -> Self {
         let mut definitions = Self {
             documented: vec![DocumentedSection { meaning: "the run".into(), ..DocumentedSection::default() }],

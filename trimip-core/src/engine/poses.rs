@@ -290,8 +290,8 @@ impl Poses {
         moved
     }
 
-    /// Adds the tensors from which training resumes: those of the poses, of shape [photographs, 6], and those of the
-    /// intrinsics.
+    /// Adds the tensors from which training resumes: the poses' tensors, of shape [photographs, 6], and the intrinsics'
+    /// tensors.
     pub(crate) fn to_tensors(&self, file: &mut TensorFile) {
         self.corrections.to_tensors(PREFIX, file);
         self.intrinsics.to_tensors(file);

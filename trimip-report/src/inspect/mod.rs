@@ -92,7 +92,7 @@ fn head(seen: &Inspection) -> String {
     )
 }
 
-/// Returns the warnings of the readers, such as what they left out and why, and those of the plan.
+/// Returns the warnings of the readers, such as left-out photographs with the reason, and the warnings of the plan.
 fn left_out(seen: &Inspection) -> String {
     let warnings = seen.seen.scene.warnings.iter().chain(&seen.warnings);
     let items: String = warnings.map(|warning| format!("<li>{}</li>", escape(warning))).collect();

@@ -50,8 +50,8 @@ pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
     if seen.is_empty() { all.collect() } else { seen }
 }
 
-/// Returns the visible points: those that a line of sight in one of the directions reaches from outside the grid
-/// without meeting a point of `solid`, and the neighbours of these points that are not solid. `threads` = 0: one per
+/// Returns the visible points. A line of sight in one of the directions reaches such a point from outside the grid without
+/// meeting a point of `solid`. The neighbours of these points that are not solid are visible too. `threads` = 0: one per
 /// core.
 pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     let seen: Vec<AtomicU64> = solid.words.iter().map(|_| AtomicU64::new(0)).collect();

@@ -53,8 +53,8 @@ impl RayTerm for Distortion {
 ///
 /// The positions m are sorted, so the sums over the samples in front of and behind a sample follow from the sums of its
 /// neighbour (Sun et al. 2022, DVGO v2): ∂L/∂w_i = 2·Σ_j w_j·|m_i − m_j| + ⅔·w_i·d_i. The derivatives with respect to
-/// x_i are then those of a colour channel of the pixel in which sample i has the colour ∂L/∂w_i and the background is
-/// 0. The value of this channel is Σ w_i·∂L/∂w_i = 2·L. See
+/// x_i then equal the derivatives of one colour channel of a pixel: sample i has the colour ∂L/∂w_i there, and the
+/// background is 0. The value of this channel is Σ w_i·∂L/∂w_i = 2·L. See
 /// [`composite_gradient`](crate::math::compositing::composite_gradient), also for the bound on the colour that a sample
 /// hides.
 #[inline]
