@@ -67,7 +67,7 @@ fn metadata_gives_the_cameras_of_the_scene_it_was_made_from() {
 fn a_set_without_its_finest_images_says_so() {
     let Some(reference) = shared("lego_multiscale_ref") else { return };
     let message = open(&settings(&reference, 4)).unwrap_err().message();
-    assert!(message.contains("train entry 0 (images_train/000_d0.png): image "), "{message}");
+    assert!(message.contains("train: entry 0 (images_train/000_d0.png): image "), "{message}");
     assert!(message.contains("000_d0.png does not exist; copy it there or remove its entry"), "{message}");
 }
 

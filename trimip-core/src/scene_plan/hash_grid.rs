@@ -11,17 +11,17 @@ use toml::Value;
 /// Levels and features per entry for places: a step reads half as many entries as with instant-ngp's 16 levels of two features.
 const LEVELS: [i64; 2] = [8, 4];
 
-/// log2 of the entries per level for places, in a small and a large table. A small table stays in a processor's cache, and many
-/// rays hit each entry; a large one has fewer collisions.
-const ENTRIES: [i64; 2] = [17, 19];
+/// log2 of the entries per level for places, in a small, a large and the largest table. A small table stays in a processor's cache,
+/// and many rays hit each entry; a large one has fewer collisions.
+const ENTRIES: [i64; 3] = [17, 19, 20];
 
 /// Number of training photographs from which a place needs the large table even in short runs. After 120 s the large table loses
 /// 0.4 dB on *fox* (43 photographs) and gains 0.2 dB on *bonsai* (255).
 const MANY_VIEWS: usize = 100;
 
-/// Budgets, in samples, from which the table is large: for fewer than [`MANY_VIEWS`] photographs, and for at least that
-/// many.
-const MANY_SAMPLES: [f64; 2] = [1e9, 8e7];
+/// Budgets, in samples, from which the table is large and from which it is the largest: for fewer than [`MANY_VIEWS`] photographs,
+/// and for at least that many.
+const MANY_SAMPLES: [[f64; 2]; 2] = [[1e9, f64::INFINITY], [8e7, 4e9]];
 
 /// Learning rates for places: of the networks, and of the features as a multiple of the networks' rate. With the networks' rate
 /// for planes, *fox* loses 0.7 dB after 90 s.
@@ -76,8 +76,8 @@ pub(super) fn for_places(context: &Context<'_>) -> Proposal {
         };
         return Proposal::Keep(reason.into());
     }
-    let least = MANY_SAMPLES[usize::from(context.facts.train.photographs() >= MANY_VIEWS)];
-    let entries = ENTRIES[usize::from(context.budget() >= least)];
+    let budgets = MANY_SAMPLES[usize::from(context.facts.train.photographs() >= MANY_VIEWS)];
+    let entries = ENTRIES[budgets.iter().filter(|&&least| context.budget() >= least).count()];
     let [levels, features] = LEVELS;
     let mut changes = vec![
         ("encoder.kind", Value::String("hash-grid".into())),
