@@ -106,7 +106,7 @@ impl Backend for CpuBackend {
             poses: CpuPoses::new(config, views.as_ref()),
             sampler: CpuSampler::new(config, views),
             occupancy: CpuOccupancy::new(config),
-            loss: CpuLoss::new(config),
+            loss: CpuLoss::new(config)?,
         })
     }
 

@@ -7,18 +7,20 @@ use trimip_core::engine::backend::{Loss, RenderedTile};
 use trimip_core::engine::batch::{Interval, Radiance, Segment, StepResult, Target};
 use trimip_core::field::losses::exposure::exposed;
 use trimip_core::field::losses::{
-    self, ConeSamples, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm,
+    self, ConeSamples, Held, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm, Terms,
 };
 use trimip_core::scene::edge_exponents::{shown, shown_gradient};
-use trimip_core::{Config, Pixel, Space};
+use trimip_core::{Config, Pixel, Result, Space};
 
 /// The loss terms that a configuration uses.
 pub struct CpuLoss {
     config: LossConfig,
-    /// Pixel terms in addition to the photometric term, with their weights.
-    pixel_terms: Vec<(&'static dyn PixelTerm, f32)>,
-    /// Ray terms, with their weights.
-    ray_terms: Vec<(&'static dyn RayTerm, f32)>,
+    /// All terms, enabled or not.
+    terms: Terms,
+    /// Enabled pixel terms in addition to the photometric term, with their weights.
+    pixel_terms: Vec<(Held<dyn PixelTerm>, f32)>,
+    /// Enabled ray terms, with their weights.
+    ray_terms: Vec<(Held<dyn RayTerm>, f32)>,
     space: Space<f32>,
     /// Exposure gains of the photographs; empty if the loss applies none.
     gains: Vec<[f32; 3]>,
@@ -26,14 +28,19 @@ pub struct CpuLoss {
 
 impl CpuLoss {
     /// Creates the configured loss.
-    pub fn new(config: &Config) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// When the section of another crate that adds terms cannot be read.
+    pub fn new(config: &Config) -> Result<Self> {
+        let terms = Terms::of(config)?;
+        Ok(Self {
             config: config.loss.clone(),
-            pixel_terms: losses::at_work(losses::PIXEL_TERMS, &config.loss, 0.0),
-            ray_terms: losses::at_work(losses::RAY_TERMS, &config.loss, 0.0),
+            pixel_terms: losses::at_work(&terms.pixel, &config.loss, 0.0),
+            ray_terms: losses::at_work(&terms.ray, &config.loss, 0.0),
+            terms,
             space: Space::new(&config.scene),
             gains: Vec::new(),
-        }
+        })
     }
 
     /// Replaces `out` with the samples of ray `index`, in the form that ray terms read.
@@ -57,8 +64,8 @@ impl Loss<CpuBackend> for CpuLoss {
     }
 
     fn set_progress(&mut self, progress: f64) {
-        self.pixel_terms = losses::at_work(losses::PIXEL_TERMS, &self.config, progress);
-        self.ray_terms = losses::at_work(losses::RAY_TERMS, &self.config, progress);
+        self.pixel_terms = losses::at_work(&self.terms.pixel, &self.config, progress);
+        self.ray_terms = losses::at_work(&self.terms.ray, &self.config, progress);
     }
 
     fn evaluate_pixels(

@@ -4,6 +4,7 @@
 #![forbid(unsafe_code)]
 
 pub mod beside;
+pub mod comparison;
 mod difference;
 mod escape;
 mod html;

@@ -168,7 +168,7 @@ impl Backend for WgpuBackend {
             poses: WgpuPoses::new(gpu, config, views.as_ref()),
             sampler: WgpuSampler::new(gpu, config, views)?,
             occupancy,
-            loss: WgpuLoss::new(gpu, config),
+            loss: WgpuLoss::new(gpu, config)?,
         };
         gpu.submit();
         gpu.check("building the stages")?;

@@ -10,8 +10,8 @@ use std::sync::Arc;
 use trimip_core::config::{LossConfig, LossRays};
 use trimip_core::engine::backend::{Loss, RenderedTile};
 use trimip_core::engine::batch::Radiance;
-use trimip_core::field::losses::{Definition, PIXEL_TERMS, RAY_TERMS};
-use trimip_core::{Config, Space};
+use trimip_core::field::losses::{self, Definition, PIXEL_TERMS, RAY_TERMS};
+use trimip_core::{Config, Error, Result, Space};
 
 /// Number of words of [`DeviceSums::buffer`].
 pub const SUMS: usize = 9;
@@ -60,8 +60,16 @@ pub struct WgpuLoss {
 
 impl WgpuLoss {
     /// Creates the configured loss.
-    pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// When the section of another crate adds a term to the loss: such a term has no WGSL.
+    pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Result<Self> {
+        if let Some(term) = losses::others(config)?.first() {
+            let name = term.definition().name();
+            let found = format!("the loss term `{name}` of another crate has no WGSL");
+            return Err(Error::input("backend = \"wgpu\"", found, "use backend = \"cpu\""));
+        }
+        Ok(Self {
             gpu: Arc::clone(gpu),
             kernels: Kernels::new(gpu, config.loss.photometric),
             config: config.loss.clone(),
@@ -70,7 +78,7 @@ impl WgpuLoss {
             space: GpuSpace::new(&Space::new(&config.scene), 1),
             sums: Buffer::zeros(gpu, SUMS),
             exposures: Buffer::zeros(gpu, 0),
-        }
+        })
     }
 
     /// Returns the weight of a term, then its numbers, as the shaders read them.

@@ -7,9 +7,10 @@
 //!   opens a bare [`Session`] for a custom training loop;
 //! - models: [`read_model`] and [`model::Model::write`] load and save a model, [`backends::load`] opens a [`Viewer`];
 //! - pictures: [`Viewer::render`] returns a [`Frame`], [`view::write`] writes it as PNG or EXR;
+//! - meshes and points: [`mesh::extract`] returns a triangle mesh, [`Viewer::query`] density and colour at points of the world;
+//! - losses: [`settings::with_sections`] adds loss terms of another crate ([`losses::LossSection`]);
 //! - metrics: [`view::evaluate`] compares a model with its test photographs;
-//! - systems: [`systems`] are the settings of Tri-MipRF and of the systems compared with it, [`paper`] arranges their figures in
-//!   the paper's tables.
+//! - systems: [`systems`] are the settings of Tri-MipRF and of the systems compared with it.
 //!
 //! ```
 //! # fn main() -> trimip::Result<()> {
@@ -43,7 +44,6 @@ pub mod formatting;
 pub mod inspect;
 pub mod machine;
 pub mod mesh;
-pub mod paper;
 pub mod ranks;
 pub mod report;
 pub mod run;
@@ -56,12 +56,16 @@ pub use run::train::{Listeners, Outcome, Trained, Training};
 /// Readers of data sets, and the built-in scene.
 pub use trimip_data as data;
 
+/// Vectors and matrices, in the version that the types of cameras use.
+#[doc(no_inline)]
+pub use glam;
 #[doc(no_inline)]
 pub use trimip_core::{
-    Advice, Alpha, Backend, Camera, Config, Crop, Error, ErrorKind, Frame, Frames, Intrinsics, Origin, Pixel,
-    Place, Result, Session, SettingValue, Settings, StepReport, View, ViewSet, Viewer, config,
-    engine::{checkpoint, events, exchange},
-    field::model,
+    Advice, Alpha, Backend, Camera, Checker, Config, Crop, Definitions, Error, ErrorKind, ForeignSection,
+    Fragment, Frame, Frames, Intrinsics, Origin, Pixel, Place, Query, Result, Section, Session, SettingValue,
+    Settings, StepReport, View, ViewSet, Viewer, config,
+    engine::{batch::Radiance, checkpoint, events, exchange},
+    field::{losses, model},
     measures::{metrics, quality},
     run::evaluate,
     scene_plan,

@@ -4,13 +4,18 @@
 
 use crate::backends;
 use std::sync::{Arc, LazyLock};
-use trimip_core::{Config, Definitions, Error, Origin, Place, Result, Settings, field::model::Model};
+use trimip_core::{
+    Config, Definitions, Error, ForeignSection, Origin, Place, Result, Settings, field::model::Model,
+};
 
 /// The definitions of all settings of this build.
-static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| {
-    let sections: Vec<_> = std::iter::once(trimip_data::SECTION).chain(backends::sections()).collect();
-    Arc::new(Definitions::new(&sections, backends::ABSENT))
-});
+static ALL: LazyLock<Arc<Definitions>> = LazyLock::new(|| Arc::new(definitions_with(&[])));
+
+fn definitions_with(others: &[ForeignSection]) -> Definitions {
+    let own = std::iter::once(trimip_data::SECTION).chain(backends::sections());
+    let sections: Vec<_> = own.chain(others.iter().copied()).collect();
+    Definitions::new(&sections, backends::ABSENT)
+}
 
 /// Returns the definitions of all settings of this build: defaults, ranges and meanings.
 pub fn definitions() -> Arc<Definitions> {
@@ -20,6 +25,15 @@ pub fn definitions() -> Arc<Definitions> {
 /// Returns the defaults of all settings of this build.
 pub fn defaults() -> Settings {
     Settings::of(definitions())
+}
+
+/// Returns the defaults of all settings of this build and of `sections`, which other crates own. A
+/// [`LossSection`](crate::losses::LossSection) adds terms to the loss.
+///
+/// # Panics
+/// As [`Definitions::new`].
+pub fn with_sections(sections: &[ForeignSection]) -> Settings {
+    Settings::of(Arc::new(definitions_with(sections)))
 }
 
 /// Returns the settings of a configuration that was built in code, after checking every range.

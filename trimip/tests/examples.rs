@@ -1,8 +1,17 @@
-//! Runs the examples: two train and write a picture, the third renders a model. The README shows the function of the first one.
+//! Runs the examples. The README shows the function of the first one.
 
 #[allow(dead_code)]
 #[path = "../examples/first.rs"]
 mod first;
+#[allow(dead_code)]
+#[path = "../examples/mesh.rs"]
+mod mesh;
+#[allow(dead_code)]
+#[path = "../examples/own_loss.rs"]
+mod own_loss;
+#[allow(dead_code)]
+#[path = "../examples/query.rs"]
+mod query;
 #[allow(dead_code)]
 #[path = "../examples/render.rs"]
 mod render;
@@ -98,4 +107,58 @@ fn a_training_loop_of_ones_own_learns() {
     config.change(small).unwrap();
     let [first, last] = [1, 150].map(|steps| training_loop::train(&config, steps).unwrap());
     assert!(last < 0.5 * first, "{first} after one step, {last} after 150");
+}
+
+#[test]
+fn a_model_has_a_mesh_and_densities() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path().join("run");
+    let arguments =
+        ["data.builtin_size=32", "data.builtin_train=12", "encoder.plane_size=64", "train.steps=300"];
+    let arguments: Vec<String> = TINY.iter().chain(&arguments).map(|&argument| argument.into()).collect();
+    train::run(&arguments, &folder).unwrap();
+    let mesh = mesh::extract(&folder, 32).unwrap();
+    assert!(mesh.triangles.len() > 100, "{} triangles", mesh.triangles.len());
+    // The model is denser behind the surface than in front of it.
+    let beside = |distance: f32| {
+        let vertices = mesh.positions.iter().zip(&mesh.normals);
+        let point = |(position, normal): (&[f32; 3], &[f32; 3])| {
+            std::array::from_fn(|axis| f64::from(position[axis] + distance * normal[axis]))
+        };
+        let found = query::query(&folder, &vertices.map(point).collect::<Vec<_>>(), 0.02).unwrap();
+        found.iter().map(|radiance| radiance.density).sum::<f32>() / found.len() as f32
+    };
+    let [behind, before] = [-0.05, 0.05].map(beside);
+    assert!(behind > 1.5 * before, "mean densities {behind} behind the surface, {before} in front of it");
+}
+
+#[test]
+fn a_loss_of_ones_own_acts_by_its_weight_and_belongs_to_the_run() {
+    use own_loss::Entropy;
+    let temporary = tempfile::tempdir().unwrap();
+    let defaults = trimip::Config::default().loss;
+    trimip::losses::verify::pixel_term(&Entropy { weight: 1.0 }, &defaults).unwrap();
+    let train = |weight: &str, folder: &str| {
+        let weight = format!("entropy.weight={weight}");
+        let assignments = [&TINY[..], &["train.steps=200", &weight]].concat();
+        own_loss::train(&assignments, &temporary.path().join(folder))
+    };
+    let [off, strong] =
+        [("0", "off"), ("1", "strong")].map(|(weight, folder)| train(weight, folder).unwrap());
+    assert!(strong < 0.5 * off, "mean entropy {off} without the term, {strong} with it");
+
+    // The setting is in the run folder, and a resumed run cannot change it.
+    let config = std::fs::read_to_string(temporary.path().join("strong/config.toml")).unwrap();
+    assert!(config.ends_with("[entropy]\nweight = 1.0\n"), "{config}");
+    let error = train("0.5", "strong").unwrap_err();
+    assert!(error.message().contains("entropy.weight is 0.5, was 1"), "{error}");
+
+    // A term with the weight 0 changes no bit.
+    let plain = temporary.path().join("plain");
+    let arguments: Vec<String> =
+        TINY.iter().chain(&["train.steps=200"]).map(|&argument| argument.into()).collect();
+    train::run(&arguments, &plain).unwrap();
+    let [with, without] =
+        [temporary.path().join("off"), plain].map(|folder| trimip::read_model(&folder).unwrap().file);
+    assert_eq!(with.tensors, without.tensors);
 }

@@ -6,7 +6,7 @@ use trimip_core::{
     Config,
     config::Contraction,
     engine::batch::{Ray, Target},
-    field::losses::{ADJUSTMENTS, ConeSamples, Definition, PIXEL_TERMS, RAY_TERMS, RaySample},
+    field::losses::{ADJUSTMENTS, ConeSamples, Definition, Held, RaySample, RayTerm, Terms},
 };
 
 /// Returns the midpoint and the width of a sample along the ray, in units of the longest side of the box: distance and length in
@@ -47,20 +47,27 @@ pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 
     }
     let term = loss.photometric.term();
     let channel = |c: usize| term.reference(loss, compared[c] - f64::from(target.rgb[c]));
-    let others = PIXEL_TERMS.iter().map(|term| weight(*term, config) * term.reference(loss, pixel, target));
+    let terms = Terms::of(config).unwrap().pixel;
+    let others = terms.iter().map(|term| weight(&**term, config) * term.reference(loss, pixel, target));
     (0..3).map(channel).sum::<f64>() / 3.0 + others.sum::<f64>()
 }
 
 /// Returns the ray terms of a pixel: their mean over the pixel's cones, without the weight of the pixel's area. A cone without
 /// samples counts as zero.
 pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
-    let at_work = RAY_TERMS.iter().filter(|term| weight(**term, config) > 0.0);
-    let of = |term: &&dyn trimip_core::field::losses::RayTerm| {
+    let terms = Terms::of(config).unwrap().ray;
+    let at_work = terms.iter().filter(|term| weight(&***term, config) > 0.0);
+    let of = |term: &Held<dyn RayTerm>| {
         let cone = |samples: &Vec<_>| term.reference(&config.loss, &ConeSamples { target, samples });
         let seen = cones.iter().filter(|samples| !samples.is_empty());
-        weight(*term, config) * seen.map(cone).sum::<f64>() / cones.len() as f64
+        weight(&**term, config) * seen.map(cone).sum::<f64>() / cones.len() as f64
     };
     at_work.map(of).sum()
+}
+
+/// Returns true if a ray term is enabled.
+pub fn has_ray_terms(config: &Config) -> bool {
+    Terms::of(config).unwrap().ray.iter().any(|term| weight(&**term, config) > 0.0)
 }
 
 fn weight<T: Definition + ?Sized>(term: &T, config: &Config) -> f64 {

@@ -31,7 +31,7 @@ use trimip_core::{
     Config, Layout,
     config::{DensityFunction, EncoderKind, LossRays, ViewEncoding},
     engine::batch::{Ray, Target},
-    field::losses::{self, RaySample},
+    field::losses::RaySample,
 };
 
 /// The model and its parameters.
@@ -179,7 +179,7 @@ impl Reference {
     /// with the edge exponent of its photograph and exposure gains of 1.
     pub fn loss(&self, pixels: &[(Target, Vec<KeptCone>)]) -> f64 {
         let (config, mut loss, mut weights) = (&self.config, 0.0, 0.0);
-        let with_rays = !losses::at_work(losses::RAY_TERMS, &config.loss, 0.0).is_empty();
+        let with_rays = loss::has_ray_terms(config);
         for (target, seen) in pixels {
             if config.loss.rays == LossRays::Live && seen.iter().all(|(_, samples)| samples.is_empty()) {
                 continue;

@@ -7,6 +7,7 @@ use crate::config::range::Range;
 use crate::config::settings::checker::Checker;
 use crate::config::settings::table::{Item, items};
 use crate::config::settings::values::shown;
+use std::any::Any;
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock};
 use toml::{Table, Value};
@@ -36,6 +37,9 @@ pub struct ForeignSection {
     pub fragments: &'static [Fragment],
     /// Checks the values of the section, given as a table.
     pub(crate) check: fn(&Table, &Checker<'_>) -> Result<()>,
+    /// The section's addition to another room of core, which knows its type
+    /// ([`with_losses`](ForeignSection::with_losses)).
+    pub(crate) addition: Option<&'static (dyn Any + Send + Sync)>,
 }
 
 /// A section of the table of settings. The settings above all sections form a section without a name.

@@ -81,6 +81,11 @@ impl Foreign {
 }
 
 impl Config {
+    /// Returns the sections of other crates that the program registered.
+    pub(crate) fn registered_sections(&self) -> &[ForeignSection] {
+        self.foreign.definitions.registered()
+    }
+
     /// Returns a section that another crate owns, in its typed form. Settings that this configuration does not name have
     /// their defaults.
     ///

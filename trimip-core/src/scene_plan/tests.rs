@@ -419,7 +419,9 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
     assert_eq!((few.encoder.kind, few.loss.opacity), (EncoderKind::TriMip, 0.0), "few pixels");
     assert_eq!(of(false, &[]).0.loss.opacity, 0.1);
     // Many photographs or many samples fill a large table.
-    for (count, steps, entries) in [(16, 2_000, 17), (16, 200_000, 19), (100, 1_000, 17), (100, 2_000, 19), (100, 70_000, 20)] {
+    for (count, steps, entries) in
+        [(16, 2_000, 17), (16, 200_000, 19), (100, 1_000, 17), (100, 2_000, 19), (100, 70_000, 20)]
+    {
         let set = ["train.samples_per_step=65536", &format!("train.steps={steps}")];
         let config = planned(&views_of(false, count), &set).unwrap().0;
         assert_eq!(config.hash_grid.log2_entries, entries, "{count} photographs, {steps} steps");

@@ -2,10 +2,10 @@
 //! of the photograph with the most detail, so the choice does not depend on a system.
 
 use super::look::mark;
+use crate::comparison::{Comparison, Scales};
 use crate::{difference, page::escape, pictures};
 use image::{RgbImage, imageops};
 use std::path::PathBuf;
-use trimip::paper::{Comparison, Scales};
 use trimip::report::scale_name;
 use trimip::run::store::{FileStore, ViewRecord};
 use trimip::systems::System;

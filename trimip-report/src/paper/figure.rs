@@ -3,10 +3,10 @@
 
 use super::look::{headline, look};
 use super::scatter::{Mark, panel, range};
+use crate::comparison::{Comparison, Figures, Run, Scales, TableRow, mean_curve};
 use crate::page;
 use crate::svg::{DASHED, Line, Point};
 use trimip::formatting;
-use trimip::paper::{Comparison, Figures, Run, Scales, TableRow, mean_curve};
 use trimip::run::curve::Measure;
 use trimip::systems::{
     System,

@@ -1,7 +1,7 @@
 //! How the page marks a system, and which rows summarise all scenes.
 
+use crate::comparison::{Comparison, Scales, TableRow};
 use crate::svg::{COLORS, DASHED};
-use trimip::paper::{Comparison, Scales, TableRow};
 use trimip::systems::SYSTEMS;
 
 /// Returns the colour of a system, and whether its lines are dashed. Both are the same on every page.

@@ -8,9 +8,9 @@ mod scatter;
 mod tables;
 
 use super::page::{self, escape, pairs};
+use crate::comparison::{Comparison, Figures, Status};
 use look::headline;
 use trimip::formatting;
-use trimip::paper::{Comparison, Figures, Status};
 use trimip::systems::published::REMARKS;
 use trimip::{Result, config::Convention, machine};
 

@@ -2,10 +2,10 @@
 //! underlined, and the published figures.
 
 use super::look::mark;
-use crate::page::escape;
-use trimip::paper::{
+use crate::comparison::{
     Comparison, Scales, TableRow, columns, published_caption, published_cells, published_columns,
 };
+use crate::page::escape;
 use trimip::systems::{Kind, SYSTEMS};
 
 /// Maximum number of scenes for which the table of each scene is unfolded.
@@ -114,7 +114,7 @@ pub fn published(scales: Scales) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trimip::paper::{Cell, scene_row};
+    use crate::comparison::{Cell, scene_row};
     use trimip::systems::find;
 
     #[test]

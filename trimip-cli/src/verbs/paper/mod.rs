@@ -14,11 +14,13 @@ use crate::{
 };
 use request::{PaperRun, Request};
 use std::sync::atomic::Ordering;
-use trimip::paper::{Comparison, Figures, Run, Scales, Status, TableRow, columns, json, latex, markdown};
 use trimip::ranks::{digest, work_on_jobs};
 use trimip::run::{folder::create_writable, history::History};
 use trimip::{Error, ErrorKind, Outcome, Result, RunFolder, Trained, Training, machine, systems::SYSTEMS};
 use trimip_core::engine::exchange::Ranks;
+use trimip_report::comparison::{
+    Comparison, Figures, Run, Scales, Status, TableRow, columns, json, latex, markdown,
+};
 use trimip_report::{paper as page, save};
 
 /// Trains the runs that are not trained yet, measures them, and writes the pages.

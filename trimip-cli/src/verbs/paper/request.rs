@@ -5,11 +5,11 @@ use crate::args::{PaperArguments, Schedule, Split, TableScales};
 use crate::settings::scene_root;
 use std::path::{Path, PathBuf};
 use trimip::data::{Collection, has_split, is_scene, settings::DataConfig};
-use trimip::paper::Scales;
 use trimip::run::expect_same;
 use trimip::systems::{self, SYSTEMS, System};
 use trimip::{Config, Error, Result, RunFolder, Settings, backends};
 use trimip_core::text;
+use trimip_report::comparison::Scales;
 
 /// Default training time per run, seconds: the time of the paper on its GPU.
 const SECONDS: f64 = 300.0;

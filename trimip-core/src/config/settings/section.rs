@@ -57,7 +57,7 @@ pub trait Section: Serialize + DeserializeOwned {
 impl ForeignSection {
     /// Returns the section that the type `S` describes.
     pub const fn of<S: Section>() -> Self {
-        Self { name: S::NAME, fragments: S::FRAGMENTS, check: check::<S> }
+        Self { name: S::NAME, fragments: S::FRAGMENTS, check: check::<S>, addition: None }
     }
 }
 

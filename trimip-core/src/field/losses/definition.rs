@@ -5,7 +5,7 @@ use crate::geometry::elements::Target;
 use crate::{Config, Pixel};
 
 /// The declaration of a term, whatever its kind.
-pub trait Definition: Sync {
+pub trait Definition: Send + Sync {
     /// Returns the name of the term and of its WGSL function, such as "smooth_l1".
     fn name(&self) -> &'static str;
 
@@ -22,8 +22,9 @@ pub trait Definition: Sync {
         [0.0; 3]
     }
 
-    /// Enables the term in a small configuration. The suites of every backend run over these examples.
-    fn example(&self, config: &mut Config);
+    /// Enables the term in a small configuration. The suites of every backend run over the examples of the terms in core's
+    /// lists; a term of another crate needs none.
+    fn example(&self, _config: &mut Config) {}
 }
 
 /// A photometric term: a penalty of the difference between a channel of a pixel and of its photograph. A loss has one.

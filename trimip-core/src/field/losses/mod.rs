@@ -1,5 +1,6 @@
 //! The terms of the loss by name. A term consists of a file here (its declaration, its formula, its equation in f64),
-//! WGSL in a GPU backend, a line in the list of its kind, and its settings in [`LossConfig`].
+//! WGSL in a GPU backend, a line in the list of its kind, and its settings in [`LossConfig`]. Another crate adds a term, which
+//! the CPU computes, with a [`LossSection`].
 //!
 //! The loss of a pixel is the mean over its channels of the photometric term, plus weight · value of every other enabled
 //! term. The loss of a step is the mean over its pixels, weighted by their areas.
@@ -10,11 +11,15 @@ pub mod depth;
 pub mod distortion;
 pub mod exposure;
 pub mod opacity;
+mod others;
 pub mod smooth_l1;
+pub mod verify;
 
+pub use crate::geometry::elements::Target;
 pub use definition::{
     Adjustment, ConeSamples, Definition, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm,
 };
+pub use others::{Held, LossSection, Term, Terms, others};
 
 use crate::config::{LossConfig, Photometric};
 
@@ -55,11 +60,11 @@ pub const ADJUSTMENTS: &[&dyn Adjustment] = &[&exposure::Gains];
 
 /// Returns the terms that are enabled at `progress` in [0, 1] of a run, with their weights.
 pub fn at_work<T: Definition + ?Sized>(
-    terms: &[&'static T],
+    terms: &[Held<T>],
     config: &LossConfig,
     progress: f64,
-) -> Vec<(&'static T, f32)> {
-    let weighted = terms.iter().map(|&term| (term, term.weight_at(config, progress)));
+) -> Vec<(Held<T>, f32)> {
+    let weighted = terms.iter().map(|term| (term.clone(), term.weight_at(config, progress)));
     weighted.filter(|(_, weight)| *weight > 0.0).collect()
 }
 

@@ -1,10 +1,10 @@
 //! The figures of one run, from its folder's history.
 
-use crate::run::{
+use serde::Serialize;
+use trimip::run::{
     curve::{Evaluated, Measure, curve},
     train::Trained,
 };
-use serde::Serialize;
 use trimip_core::{
     Config, Layout,
     config::Convention,

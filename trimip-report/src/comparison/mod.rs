@@ -1,9 +1,22 @@
-//! The content of a comparison, from which its page, JSON, Markdown and LaTeX are made.
+//! Comparison of systems on several scenes: the runs, their figures, and their means as in tables of papers. Also their JSON,
+//! Markdown and LaTeX; [`crate::paper`] makes their page.
 
-use super::means::{TableRow, scene_row, whole_row};
-use super::runs::{Run, Scales, Status};
-use crate::machine::Machine;
-use crate::systems::System;
+mod figures;
+#[cfg(test)]
+mod fixtures;
+mod json;
+mod means;
+mod runs;
+mod text;
+
+pub use figures::Figures;
+pub use json::json;
+pub use means::{Cell, TableRow, mean_curve, scene_row, whole_row};
+pub use runs::{Run, Scales, Status};
+pub use text::{Column, columns, latex, markdown, published_caption, published_cells, published_columns};
+
+use trimip::machine::Machine;
+use trimip::systems::System;
 
 /// The content of a comparison.
 #[derive(Clone, Debug)]

@@ -2,11 +2,11 @@
 
 use super::figures::Figures;
 use super::runs::{Run, Scales, Status};
-use crate::{
+use serde::Serialize;
+use trimip::{
     run::curve::Measure,
     systems::{Kind, System, published::Published},
 };
-use serde::Serialize;
 
 /// A row of a table: a system on one scene, or the mean of several. Unknown values are NaN, `null` in JSON.
 #[derive(Clone, Debug, Serialize)]
@@ -216,8 +216,8 @@ fn between(curve: &[Measure], seconds: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::paper::fixtures::run;
-    use crate::systems::find;
+    use crate::comparison::fixtures::run;
+    use trimip::systems::find;
 
     #[test]
     fn the_mean_of_scenes_is_that_of_each_scenes_mean() {

@@ -2,8 +2,8 @@
 
 use super::figures::Figures;
 use super::runs::{Run, Scales, Status};
-use crate::run::curve::Measure;
-use crate::systems::find;
+use trimip::run::curve::Measure;
+use trimip::systems::find;
 use trimip_core::{
     config::Convention,
     measures::quality::{Measures, ScaleQuality, mean_quality},

@@ -1,11 +1,11 @@
 //! The tables as text: their columns, for the page and the terminal, `paper.md` and `paper.tex`.
 
-use super::comparison::Comparison;
+use super::Comparison;
 use super::means::TableRow;
 use super::runs::{Scales, Status};
-use crate::formatting;
-use crate::report::{latex::tabular, scale_name};
-use crate::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURCES};
+use trimip::formatting;
+use trimip::report::{latex::tabular, scale_name};
+use trimip::systems::published::{CONVENTION, PUBLISHED, Published, REMARKS, SOURCES};
 
 /// A value of a row.
 pub type Value = Box<dyn Fn(&TableRow) -> f64>;
@@ -267,7 +267,7 @@ fn safe(text: &str) -> String {
 mod tests {
     use super::super::fixtures::run;
     use super::*;
-    use crate::{machine::Machine, systems::find};
+    use trimip::{machine::Machine, systems::find};
 
     #[test]
     fn the_text_has_every_system_scene_and_failure() {

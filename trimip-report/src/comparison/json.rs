@@ -1,8 +1,8 @@
 //! `paper.json`: the comparison for programs. PSNR in dB, sizes in bytes, times in seconds; unknown values are `null`.
 
-use super::comparison::Comparison;
-use crate::systems::published::{CONVENTION, PUBLISHED, REMARKS};
+use super::Comparison;
 use serde_json::{Value, json};
+use trimip::systems::published::{CONVENTION, PUBLISHED, REMARKS};
 use trimip_core::{Error, Result};
 
 /// Returns the comparison as JSON text.
@@ -31,7 +31,7 @@ pub fn json(comparison: &Comparison) -> Result<String> {
         })
     });
     let value: Value = json!({
-        "version": crate::machine::version(),
+        "version": trimip::machine::version(),
         "command": comparison.command,
         "machine": comparison.machine,
         "split": comparison.split,
