@@ -116,7 +116,7 @@ fn is_there(archive: &Path, folder: &Path, mark: &Value, wanted: &Wanted<'_>) ->
     }
 }
 
-/// Returns the mark of a folder that this program unpacked.
+/// Returns the contents of [`MARK`] in a folder; `None` if this program did not unpack the folder.
 fn marked(folder: &Path) -> Option<Value> {
     let is_folder = folder.symlink_metadata().is_ok_and(|found| found.is_dir());
     let mark = fs::read(folder.join(MARK)).ok().filter(|_| is_folder)?;

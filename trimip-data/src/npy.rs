@@ -48,7 +48,7 @@ impl Table {
         Ok(Self { header, bytes })
     }
 
-    /// Reads the numbers of rows and columns from the first bytes of a file, at least [`HEAD`] of them.
+    /// Reads the numbers of rows and columns. `bytes` is the start of a file: at least [`HEAD`] bytes, or the whole file.
     ///
     /// # Errors
     /// As [`new`](Self::new).

@@ -1,6 +1,6 @@
-//! Gradients with respect to camera poses on the GPU: the features on rays that are displaced to both sides, times the
-//! gradients with respect to the features. The derivatives of each photograph are summed in 64-bit fixed point, so their
-//! sums are bit-identical in any order.
+//! Gradients with respect to camera poses on the GPU. Rays are displaced to both sides; the slope of the loss is the
+//! difference between the features of the two sides, times the gradients with respect to the features. The derivatives
+//! of each photograph are summed in 64-bit fixed point, so their sums are bit-identical in any order.
 
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Text};

@@ -181,7 +181,8 @@ pub fn homogeneous<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             seen += usize::from(leave > enter);
             let exact = 1.0 - (-SIGMA * (leave - enter)).exp();
             let place = format!("{}, pixel {i}", name(&camera));
-            // The steps cover the length to within half a step, and the density in f32 is SIGMA to within 1e-4.
+            // The bound is twice the effect of two errors: the steps cover L to within half a step, and the f32 density
+            // differs from SIGMA by at most 1e-4.
             let bound = SIGMA * step + 2e-4;
             assert!((f64::from(pixel.opacity) - exact).abs() < bound, "{place}: {} {exact}", pixel.opacity);
             let far = leave + 1.0 / SIGMA;

@@ -240,7 +240,7 @@ mod tests {
             let biases = |outputs: usize| if network.biases { outputs } else { 0 };
             layers.map(|i| network.weights(i)).map(|[k, n]| k * n + biases(n)).sum()
         };
-        // One of NeRF's two networks, and the network of mip-NeRF: 8 layers of 256 outputs, then one of 128 for colour.
+        // NeRF has two such networks, mip-NeRF has one: 8 layers of 256 outputs, then one of 128 for colour.
         let mut nerf = Config::default();
         nerf.encoder.kind = EncoderKind::Frequencies;
         let field = &mut nerf.field;

@@ -110,7 +110,8 @@ impl Shape {
         }
     }
 
-    /// Returns false only if no ray from `origin` can hit the shape whose angle to `direction` has a tangent of at most `spread`.
+    /// Returns false only if the shape is missed by every ray from `origin` whose angle to `direction` has a tangent of at most
+    /// `spread`.
     pub fn near_line(&self, origin: DVec3, direction: DVec3, spread: f64) -> bool {
         let (start, end, radius) = self.bound();
         let farthest = start.distance(origin).max(end.distance(origin)) + radius;

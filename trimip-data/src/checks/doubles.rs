@@ -9,7 +9,8 @@ use std::collections::HashMap;
 use trimip_core::{Camera, ViewSet};
 
 /// Two cameras have the same pose if their distance is at most this share of the extent of all cameras, and the components
-/// of their axes differ by at most this. Files state poses to six digits or more, and no hand holds a camera that still.
+/// of their axes differ by at most this. Files state poses to six digits or more, and the poses of two hand-held
+/// photographs differ by more than this.
 const SAME: f64 = 1e-6;
 
 /// Least side of the compared images, pixels (see [`coarsest`]): two different photographs are never equal at this size.

@@ -74,7 +74,7 @@ fn photometric_terms() {
         let [a, b, c] = term.numbers(&config.loss);
         let call = format!("{}(x.x, vec3<f32>({a:?}, {b:?}, {c:?}))", term.name());
         let body = format!("fn probe(x: vec4<f32>) -> vec4<f32> {{ return vec4<f32>({call}, 0.0, 0.0); }}\n");
-        // The text is leaked, because the text of a part must live as long as the program.
+        // The text is leaked, because `Text` holds a `&'static str`.
         compare(
             &[Text(PENALTIES), Text(body.leak())],
             &singles(|_| true),

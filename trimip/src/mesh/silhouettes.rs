@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn a_cube_seen_from_the_front_is_a_square_at_its_distance() {
-        // The face y = 0 of the unit cube, two units in front of the camera: 100 / 2 pixels wide.
+        // The face y = 0 of the unit cube lies two units in front of the camera, so it is fx / 2 = 50 pixels wide.
         let k = Intrinsics {
             width: 80,
             height: 70,
