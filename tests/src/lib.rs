@@ -11,6 +11,7 @@ pub mod formats;
 #[cfg(feature = "wgpu")]
 pub mod gpu;
 pub mod lists;
+pub mod outside;
 pub mod pages;
 pub mod ranks;
 pub mod reference;

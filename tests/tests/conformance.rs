@@ -5,9 +5,10 @@ use trimip_core::{
     Config, Result,
     config::{Precision, TrainConfig},
     engine::exchange::{Exchange, Ranks},
+    field::losses::verify,
 };
 use trimip_cpu::{CpuBackend, DataParallel, simd::Simd};
-use trimip_tests::{ranks::Threads, suite};
+use trimip_tests::{fixtures, outside, ranks::Threads, suite};
 
 /// Runs a test of the suite on every CPU backend that this processor supports.
 fn on_every_cpu(part: impl Fn(&dyn Fn() -> CpuBackend) -> Result<()>) {
@@ -135,12 +136,24 @@ fn bf16_gradients_are_those_of_the_rounded_factors() {
 
 #[test]
 fn terms_of_the_loss_are_their_equations() {
-    on_every_cpu(|make| suite::losses::as_written(make));
+    on_every_cpu(|make| suite::losses::as_written(make, &suite::losses::examples(&fixtures::small())));
 }
 
 #[test]
 fn gradients_of_every_term_of_the_loss_are_finite_differences() {
-    with_threads(&[2], |make| suite::losses::finite_differences(make));
+    with_threads(&[2], |make| {
+        suite::losses::finite_differences(make, &suite::losses::examples(&fixtures::small()))
+    });
+}
+
+#[test]
+fn terms_of_another_crate_are_part_of_the_loss() {
+    let config = Config::default().loss;
+    verify::pixel_term(&outside::SquaredOpacity(1.0), &config).unwrap();
+    verify::ray_term(&outside::SquaredDepths(1.0), &config).unwrap();
+    let examples = outside::examples(&fixtures::small());
+    on_every_cpu(|make| suite::losses::as_written(make, &examples));
+    with_threads(&[2], |make| suite::losses::finite_differences(make, &examples));
 }
 
 #[test]

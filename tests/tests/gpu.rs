@@ -1,11 +1,11 @@
 //! Runs the suite for every backend on the GPU, gradients and updates with every method of adding texel gradients.
 //! Tests that compare backends are in `gpu_and_cpu.rs`.
 
-use trimip_core::{Backend, Layout, Result, Viewer, config::Precision, engine::trainer::Trainer};
+use trimip_core::{Backend, ErrorKind, Layout, Result, Viewer, config::Precision, engine::trainer::Trainer};
 use trimip_tests::{
     fixtures,
     gpu::{ADDITIONS, reproducibly, with},
-    suite,
+    outside, suite,
 };
 use trimip_wgpu::{Addition, WgpuBackend};
 
@@ -151,12 +151,28 @@ fn pictures_of_contracted_space_are_those_of_the_model_in_f64() {
 
 #[test]
 fn terms_of_the_loss_are_their_equations() {
-    reproducibly(|make| suite::losses::as_written(make));
+    reproducibly(|make| suite::losses::as_written(make, &suite::losses::examples(&fixtures::small())));
 }
 
 #[test]
 fn gradients_of_every_term_of_the_loss_are_finite_differences() {
-    reproducibly(|make| suite::losses::finite_differences(make));
+    reproducibly(|make| {
+        suite::losses::finite_differences(make, &suite::losses::examples(&fixtures::small()))
+    });
+}
+
+#[test]
+fn a_term_of_another_crate_is_refused() {
+    reproducibly(|make| {
+        for (name, config) in outside::examples(&fixtures::small()) {
+            let error = make().stages(&config, None).err().expect("the term has no WGSL");
+            assert!(error.kind() == ErrorKind::Input, "{error}");
+            assert!(
+                error.message().contains(&format!("the loss term `{name}` of another crate has no WGSL"))
+            );
+        }
+        Ok(())
+    });
 }
 
 #[test]

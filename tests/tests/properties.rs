@@ -121,7 +121,7 @@ proptest! {
             // Texels are not coarser than requested, and a side has less than one unit of texels too many.
             let own = aabb.extent()[axis] / fitted.sides[axis] as f64;
             prop_assert!(own <= texel * 1.02, "{own} for {texel}");
-            let unit = (1 << (levels - 1)) as f64;
+            let unit = f64::from(1 << (levels - 1));
             prop_assert!((fitted.sides[axis] as f64) < aabb.extent()[axis] / texel + unit + 0.02);
         }
         for level in 0..fitted.levels {

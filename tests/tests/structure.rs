@@ -352,7 +352,7 @@ fn rooms_of_core_use_those_before_them() {
 
 /// Returns true if `text` contains `word` with no letter or digit next to it.
 fn names(text: &str, word: &str) -> bool {
-    let part = |character: Option<char>| character.is_some_and(|character| character.is_alphanumeric());
+    let part = |character: Option<char>| character.is_some_and(char::is_alphanumeric);
     text.match_indices(word)
         .any(|(at, _)| !part(text[..at].chars().next_back()) && !part(text[at + word.len()..].chars().next()))
 }

@@ -120,8 +120,8 @@ impl Display for Place {
     }
 }
 
-impl From<&Place> for Place {
-    fn from(place: &Place) -> Self {
+impl From<&Self> for Place {
+    fn from(place: &Self) -> Self {
         place.clone()
     }
 }
@@ -177,7 +177,7 @@ pub enum Advice {
     /// Any other advice, in words.
     Words(String),
     /// One of several pieces of advice.
-    AnyOf(Vec<Advice>),
+    AnyOf(Vec<Self>),
 }
 
 impl Display for Advice {

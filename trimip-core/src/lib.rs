@@ -34,7 +34,7 @@ pub mod text;
 
 pub use config::{
     Config, Crop,
-    defaults::{Definitions, DocumentedSection, DocumentedSetting, ForeignSection, Fragment},
+    defaults::{Addition, Definitions, DocumentedSection, DocumentedSetting, ForeignSection, Fragment},
     origin::Origin,
     settings::{Settings, checker::Checker, section::Section, setting_value::SettingValue},
 };

@@ -37,20 +37,20 @@ fn of_groups() -> Option<u64> {
         .filter_map(|group| {
             let number = |name: &str| read(group.join(name)).trim().parse::<u64>().ok();
             let idle = value(&read(group.join("memory.stat")), "inactive_file ").unwrap_or(0);
-            remaining(number("memory.max")?, number("memory.current")?, idle)
+            Some(remaining(number("memory.max")?, number("memory.current")?, idle))
         })
         .min();
     let first = || {
         let number = |name: &str| read(root.join("memory").join(name)).trim().parse::<u64>().ok();
         let idle = value(&read(root.join("memory/memory.stat")), "total_inactive_file ").unwrap_or(0);
-        remaining(number("memory.limit_in_bytes")?, number("memory.usage_in_bytes")?, idle)
+        Some(remaining(number("memory.limit_in_bytes")?, number("memory.usage_in_bytes")?, idle))
     };
     second.or_else(first)
 }
 
 /// Returns the memory that a limit leaves after `used` bytes; `idle` of the used bytes can be reclaimed.
-fn remaining(limit: u64, used: u64, idle: u64) -> Option<u64> {
-    Some(limit.saturating_sub(used.saturating_sub(idle)))
+fn remaining(limit: u64, used: u64, idle: u64) -> u64 {
+    limit.saturating_sub(used.saturating_sub(idle))
 }
 
 /// Returns the memory in bytes that the limit of this process's address space (`ulimit -v`) leaves after the
@@ -93,8 +93,8 @@ mod tests {
 
     #[test]
     fn what_gives_way_is_not_counted() {
-        assert_eq!(remaining(100, 70, 30), Some(60));
-        assert_eq!(remaining(100, 170, 30), Some(0));
+        assert_eq!(remaining(100, 70, 30), 60);
+        assert_eq!(remaining(100, 170, 30), 0);
     }
 
     #[test]

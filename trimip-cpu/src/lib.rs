@@ -131,7 +131,7 @@ pub fn compute(threads: u32) -> Compute {
 
 /// Returns the names of this processor's instruction sets, widest first. The backend uses the first.
 pub fn features() -> String {
-    Simd::available().iter().map(|simd| simd.to_string()).collect::<Vec<_>>().join(", ")
+    Simd::available().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
 }
 
 /// Loads a finished model to render with `threads` threads (0: all cores).

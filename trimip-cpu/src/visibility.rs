@@ -158,7 +158,7 @@ impl Scratch {
             let tile = &mut Tile { stream: &mut *stream, parameters, rays, samples };
             stages.encoder.forward(tile, &mut piece.encoder_context, &mut piece.features);
             stages.field.density(tile, &piece.features, &mut piece.field_context, &mut piece.radiance);
-            look(walkers, &mut piece.samples, &piece.radiance, &renderer.policy.pruning, seen);
+            look(walkers, &mut piece.samples, &piece.radiance, renderer.policy.pruning, seen);
             let samples = &piece.samples;
             staged.samples.rays.append_rows(&samples.rays, seen, 1);
             staged.samples.intervals.append_rows(&samples.intervals, seen, 1);
@@ -298,7 +298,7 @@ fn look(
     walkers: &mut Vec<Walker>,
     samples: &mut Samples<CpuBackend>,
     radiance: &Buffer<Radiance>,
-    pruning: &Pruning<f32>,
+    pruning: Pruning<f32>,
     seen: &mut Buffer<u32>,
 ) {
     seen.clear();

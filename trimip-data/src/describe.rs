@@ -70,7 +70,7 @@ pub(crate) fn sizes(sources: &[Source]) -> String {
 
 /// Returns "with alpha", or how many of the photographs have alpha.
 pub(crate) fn alpha(sources: &[Source]) -> String {
-    let files = || sources.iter().flat_map(|source| source.files());
+    let files = || sources.iter().flat_map(Source::files);
     match (files().filter(|file| file.has_alpha()).count(), files().count()) {
         (_, 0) => "alpha rendered".into(),
         (0, _) => "no alpha".into(),

@@ -30,17 +30,17 @@ impl Selection {
     /// Returns the indices of the chosen frames, in order, of `frames` frames.
     pub(crate) fn choose(&self, frames: usize) -> Vec<usize> {
         match self {
-            Selection::All => (0..frames).collect(),
-            Selection::Test => (0..frames).filter(|index| index.is_multiple_of(HOLD_OUT)).collect(),
-            Selection::Train => (0..frames).filter(|index| !index.is_multiple_of(HOLD_OUT)).collect(),
-            Selection::Listed(frames, _) => frames.clone(),
+            Self::All => (0..frames).collect(),
+            Self::Test => (0..frames).filter(|index| index.is_multiple_of(HOLD_OUT)).collect(),
+            Self::Train => (0..frames).filter(|index| !index.is_multiple_of(HOLD_OUT)).collect(),
+            Self::Listed(frames, _) => frames.clone(),
         }
     }
 
     /// Returns a line for the scene's description about how the frames were divided; `order` says how they are ordered.
     pub(crate) fn note(&self, file: &Path, order: &str) -> Option<String> {
         let name = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
-        matches!(self, Selection::Train | Selection::Test).then(|| {
+        matches!(self, Self::Train | Self::Test).then(|| {
             format!("{name} names no splits: every {HOLD_OUT}th frame {order} is the test split, the others are train")
         })
     }
@@ -48,7 +48,7 @@ impl Selection {
     /// Returns a warning about frames that are in no list.
     pub(crate) fn warning(&self, file: &Path) -> Option<String> {
         match self {
-            Selection::Listed(_, left) if *left > 0 => {
+            Self::Listed(_, left) if *left > 0 => {
                 Some(format!("{} lists {} in no split", file.display(), count(*left, "frame")))
             }
             _ => None,

@@ -54,7 +54,7 @@ pub fn examine(config: &DataConfig, watch: Watch<'_>) -> Result<Inspection> {
         let places = || cameras().map(|camera| survey.origin.stated(camera.origin));
         lines.push(format!(
             "{name}: cameras {} from the origin, x {}, y {}, z {}",
-            range(places().map(|place| place.length())),
+            range(places().map(glam::DVec3::length)),
             range(places().map(|place| place.x)),
             range(places().map(|place| place.y)),
             range(places().map(|place| place.z)),

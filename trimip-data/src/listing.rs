@@ -53,12 +53,12 @@ impl Calibration {
     /// Returns the intrinsics; `[width, height]` is the size of the photograph if the file states none.
     fn intrinsics(&self, [width, height]: [u32; 2]) -> Intrinsics {
         match *self {
-            Calibration::Sized(intrinsics) => intrinsics,
-            Calibration::Unsized { focal: [fx, fy], centre, lens } => {
+            Self::Sized(intrinsics) => intrinsics,
+            Self::Unsized { focal: [fx, fy], centre, lens } => {
                 let [cx, cy] = centre.unwrap_or([width, height].map(|side| 0.5 * f64::from(side)));
                 Intrinsics { width, height, fx, fy, cx, cy, lens }
             }
-            Calibration::Relative { focal, centre: [x, y], lens } => {
+            Self::Relative { focal, centre: [x, y], lens } => {
                 let longer = f64::from(width.max(height));
                 let (fx, fy) = (focal * longer, focal * longer);
                 let (cx, cy) = (0.5 * f64::from(width) + x * longer, 0.5 * f64::from(height) + y * longer);

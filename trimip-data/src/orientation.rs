@@ -19,7 +19,7 @@ pub(crate) fn decide(stored: (u32, u32), tag: Orientation, width: Option<u32>, h
     let fits =
         |(w, h): (u32, u32)| width.is_none_or(|width| width == w) && height.is_none_or(|height| height == h);
     match (tag, fits(stored), fits(turned(stored, tag))) {
-        (Orientation::NoTransforms, ..) | (_, true, false) | (_, false, false) => Turn::Stored,
+        (Orientation::NoTransforms, ..) | (_, true | false, false) => Turn::Stored,
         (_, true, true) => Turn::Doubtful,
         (_, false, true) => Turn::Applied(tag),
     }

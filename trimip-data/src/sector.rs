@@ -28,22 +28,22 @@ enum Apart {
 impl Apart {
     fn value(self) -> f64 {
         match self {
-            Apart::Seen(value) | Apart::Turned(value) | Apart::Moved(value) => value,
+            Self::Seen(value) | Self::Turned(value) | Self::Moved(value) => value,
         }
     }
 
     fn words(self) -> String {
         match self {
-            Apart::Seen(angle) => {
+            Self::Seen(angle) => {
                 format!(
                     "{:.0}° of the first camera, as seen from the point that all look at",
                     angle.to_degrees()
                 )
             }
-            Apart::Turned(angle) => {
+            Self::Turned(angle) => {
                 format!("{:.0}° of the first camera's viewing direction", angle.to_degrees())
             }
-            Apart::Moved(distance) => format!("{distance:.4} world units of the first camera"),
+            Self::Moved(distance) => format!("{distance:.4} world units of the first camera"),
         }
     }
 }

@@ -154,7 +154,7 @@ impl<R: ReaderAt> Zip<R> {
     /// # Errors
     /// If size or checksum differ from those that the archive states, and errors of `take`. Surplus bytes are never passed to `take`.
     pub(crate) fn read(&self, file: &File, mut take: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
-        let place = Place::part(self.name.to_string(), &file.path);
+        let place = Place::part(self.name.clone(), &file.path);
         let entry = self.archive.get_entry(file.place).map_err(|error| damaged(&place, &error))?;
         let packed: Box<dyn Read + '_> = match file.is_stored {
             true => Box::new(entry.reader()),

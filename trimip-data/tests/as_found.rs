@@ -161,9 +161,9 @@ fn photographs_of_a_model_are_found_by_the_end_of_their_path() {
         for binary in [false, true] {
             fs::remove_dir_all(&model).unwrap();
             if binary {
-                renamed.write_binary(&model)
+                renamed.write_binary(&model);
             } else {
-                renamed.write_text(&model)
+                renamed.write_text(&model);
             }
             let found = open(&settings(root.path(), 1)).unwrap();
             assert_same(&found.train, &usual.train);
@@ -208,9 +208,9 @@ fn photographs_deleted_after_the_model_was_made_are_left_out() {
     for binary in [false, true] {
         fs::remove_dir_all(&model).unwrap();
         if binary {
-            fewer.write_binary(&model)
+            fewer.write_binary(&model);
         } else {
-            fewer.write_text(&model)
+            fewer.write_text(&model);
         }
         let same = open(&settings(root.path(), 1)).unwrap();
         assert_same(&same.train, &found.train);
@@ -236,9 +236,9 @@ fn a_camera_whose_calibration_failed_is_left_out() {
         for binary in [false, true] {
             let _ = fs::remove_dir_all(&model);
             if binary {
-                failed.write_binary(&model)
+                failed.write_binary(&model);
             } else {
-                failed.write_text(&model)
+                failed.write_text(&model);
             }
             let found = open(&settings(root.path(), 1)).unwrap();
             assert_eq!(found.train.views.len() + found.test.len(), 9);

@@ -583,9 +583,9 @@ fn each_broken_model_is_told_apart() {
             let folder = root.path().join("sparse/0");
             let _ = fs::remove_dir_all(&folder);
             if binary {
-                sparse.write_binary(&folder)
+                sparse.write_binary(&folder);
             } else {
-                sparse.write_text(&folder)
+                sparse.write_text(&folder);
             }
             let error = open(&settings(root.path(), 1)).unwrap_err();
             assert_eq!(error.kind(), trimip_core::ErrorKind::Input);

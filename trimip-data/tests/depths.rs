@@ -460,7 +460,7 @@ fn phones_write_millimetres_and_how_sure_they_are() {
         for index in 0..9 {
             let name = match phone {
                 "polycam" => format!("{index}.png"),
-                _ => format!("41069021_{:.3}.png", 305.3 + 0.1 * index as f64),
+                _ => format!("41069021_{:.3}.png", 305.3 + 0.1 * f64::from(index)),
             };
             DynamicImage::from(image.clone()).save(root.join(depths).join(&name)).unwrap();
             DynamicImage::from(confidence.clone()).save(root.join(sure).join(&name)).unwrap();

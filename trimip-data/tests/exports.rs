@@ -120,7 +120,7 @@ fn models_of_bundler_are_read() {
         let to_camera = camera.rotation.transpose();
         writeln!(text, "51.5 -0.1 0.02").unwrap();
         (0..3).for_each(|i| {
-            writeln!(text, "{} {} {}", to_camera.row(i).x, to_camera.row(i).y, to_camera.row(i).z).unwrap()
+            writeln!(text, "{} {} {}", to_camera.row(i).x, to_camera.row(i).y, to_camera.row(i).z).unwrap();
         });
         let t = -(to_camera * camera.origin);
         writeln!(text, "{} {} {}", t.x, t.y, t.z).unwrap();

@@ -86,7 +86,7 @@ fn edited(bytes: &[u8], edits: &[Edit]) -> Vec<u8> {
                 bytes.splice(at..(at + with.len()).min(end), with.iter().copied());
             }
             Edit::Word(at, with) => {
-                instead(&mut bytes, at.index(end), with, |byte| byte.is_ascii_whitespace())
+                instead(&mut bytes, at.index(end), with, |byte| byte.is_ascii_whitespace());
             }
             Edit::Line(at, with) => instead(&mut bytes, at.index(end), with, |byte| byte == b'\n'),
             Edit::Double(at, length) => {

@@ -159,9 +159,9 @@ fn models_of_colmap_are_those_of_the_registry() {
     for binary in [false, true] {
         let model = folder.path().join("sparse/0");
         if binary {
-            sparse.write_binary(&model)
+            sparse.write_binary(&model);
         } else {
-            sparse.write_text(&model)
+            sparse.write_text(&model);
         }
         let mut data = data(folder.path(), "colmap");
         (data.scales, data.holdout) = (1, 4);

@@ -115,7 +115,7 @@ impl RenderThread {
         let shared = Arc::new(Shared::default());
         let own = Arc::clone(&shared);
         let run = move || {
-            Worker { scene, speed: BTreeMap::new(), shared: own, clips: BTreeMap::new() }.run(&mut renderers)
+            Worker { scene, speed: BTreeMap::new(), shared: own, clips: BTreeMap::new() }.run(&mut renderers);
         };
         let thread = thread::Builder::new()
             .name("render".into())

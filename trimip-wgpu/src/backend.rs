@@ -208,7 +208,7 @@ impl Backend for WgpuBackend {
     ) {
         let Some(partial) = partials.first_mut() else { return };
         self.with_workspace(field, |workspace| {
-            work(workspace, partial, batch.this_rank.part(batch.allocation.pixels()))
+            work(workspace, partial, batch.this_rank.part(batch.allocation.pixels()));
         });
     }
 

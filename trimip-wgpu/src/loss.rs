@@ -62,9 +62,13 @@ impl WgpuLoss {
     /// Creates the configured loss.
     ///
     /// # Errors
-    /// When the section of another crate adds a term to the loss: such a term has no WGSL.
+    /// When a term of another crate is enabled in a part of the run: such a term has no WGSL.
     pub fn new(gpu: &Arc<Gpu>, config: &Config) -> Result<Self> {
-        if let Some(term) = losses::others(config)?.first() {
+        let others = losses::others(config)?;
+        let weight =
+            |term: &losses::Term, at: u8| term.definition().weight_at(&config.loss, f64::from(at) / 100.0);
+        let enabled = |term: &&losses::Term| (0..=100).any(|at| weight(term, at) > 0.0);
+        if let Some(term) = others.iter().find(enabled) {
             let name = term.definition().name();
             let found = format!("the loss term `{name}` of another crate has no WGSL");
             return Err(Error::input("backend = \"wgpu\"", found, "use backend = \"cpu\""));

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
 use trimip::losses::{Definition, LossSection, PixelTerm, Target, Term};
-use trimip::{Checker, ForeignSection, Fragment, Pixel, Section, config::LossConfig};
+use trimip::{Addition, ForeignSection, Fragment, Pixel, Section, config::LossConfig, losses};
 use trimip::{Training, backends, data, events::Event, settings};
 
 /// Opacities are kept this far from 0 and 1, where the derivative of the entropy is infinite.
@@ -30,10 +30,7 @@ section = { meaning = "entropy of the opacity of pixels" }
 weight = { default = 1e-3, range = [0, 1], meaning = "weight relative to that of colour; 0 = off" }
 "#,
     }];
-
-    fn check(&self, to: &Checker<'_>) -> trimip::Result<()> {
-        to.check(self.weight.is_finite(), "entropy.weight", "a finite number")
-    }
+    const ADDITION: Option<Addition> = Some(losses::addition::<Self>());
 }
 
 impl LossSection for Entropy {
@@ -84,7 +81,7 @@ fn main() -> trimip::Result<()> {
 /// Trains on the built-in scene with `assignments` such as `entropy.weight=0.01`, and returns the mean entropy of the opacity in
 /// the first test view.
 pub fn train(assignments: &[&str], folder: &Path) -> trimip::Result<f64> {
-    let mut settings = settings::with_sections(&[ForeignSection::with_losses::<Entropy>()]);
+    let mut settings = settings::with_sections(&[ForeignSection::of::<Entropy>()]);
     settings.set("data.format", "builtin")?;
     for assignment in assignments {
         settings.apply_assignment(assignment)?;

@@ -61,9 +61,9 @@ pub use trimip_data as data;
 pub use glam;
 #[doc(no_inline)]
 pub use trimip_core::{
-    Advice, Alpha, Backend, Camera, Checker, Config, Crop, Definitions, Error, ErrorKind, ForeignSection,
-    Fragment, Frame, Frames, Intrinsics, Origin, Pixel, Place, Query, Result, Section, Session, SettingValue,
-    Settings, StepReport, View, ViewSet, Viewer, config,
+    Addition, Advice, Alpha, Backend, Camera, Checker, Config, Crop, Definitions, Error, ErrorKind,
+    ForeignSection, Fragment, Frame, Frames, Intrinsics, Origin, Pixel, Place, Query, Result, Section,
+    Session, SettingValue, Settings, StepReport, View, ViewSet, Viewer, config,
     engine::{batch::Radiance, checkpoint, events, exchange},
     field::{losses, model},
     measures::{metrics, quality},

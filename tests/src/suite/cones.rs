@@ -150,7 +150,7 @@ pub fn by_scale<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             let cameras = views.views[views.scales[level].views.clone()].iter().map(|view| &view.camera);
             let camera = cameras.into_iter().find(at_origin).expect("a camera of this scale");
             let places: Vec<_> = own.iter().map(|ray| place(ray, camera)).collect();
-            let corner = places[0].map(|at| at.floor());
+            let corner = places[0].map(f64::floor);
             for (i, at) in (0_u32..).zip(&places) {
                 for (axis, part) in [i % side, i / side].into_iter().enumerate() {
                     let expected = corner[axis] + (f64::from(part) + 0.5) / f64::from(side);

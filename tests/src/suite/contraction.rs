@@ -88,7 +88,7 @@ pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             row += found.len();
         }
         assert!(total > 500, "the rays meet {total} occupied steps");
-        assert!((borderline as f64) < 0.005 * total as f64, "{borderline} of {total} at a border");
+        assert!(f64::from(borderline) < 0.005 * total as f64, "{borderline} of {total} at a border");
     }
     Ok(())
 }

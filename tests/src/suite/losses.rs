@@ -3,7 +3,7 @@
 
 use super::{Bench, gradients::of_a_step, training};
 use crate::{
-    fixtures::{TestRandom, lively, small},
+    fixtures::{TestRandom, lively},
     reference::{Sample, loss},
 };
 use trimip_core::{
@@ -233,12 +233,13 @@ impl Given {
     }
 }
 
-/// Loss, gradients, and derivatives with respect to log-gains match the terms' equations for given pixels and samples.
+/// Loss, gradients, and derivatives with respect to log-gains match the terms' equations for given pixels and samples, in every
+/// example.
 ///
 /// # Errors
 /// When the backend refuses a configuration.
-pub fn as_written<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    for (name, config) in examples(&small()) {
+pub fn as_written<B: Backend>(make: impl Fn() -> B, examples: &[(&'static str, Config)]) -> Result<()> {
+    for (name, config) in examples {
         for (seed, contraction) in [(31, Contraction::None), (32, Contraction::Ball)] {
             let mut config = config.clone();
             config.scene.contraction = contraction;
@@ -319,12 +320,15 @@ fn assert_densities(given: &Given, config: &Config, found: &Found, pixel: usize,
     of(&cones)
 }
 
-/// The loss and the gradients of a training step match central differences of the reference.
+/// The loss and the gradients of a training step match central differences of the reference, in every example.
 ///
 /// # Errors
 /// When the backend refuses a configuration.
-pub fn finite_differences<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    examples(&small()).iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
+pub fn finite_differences<B: Backend>(
+    make: impl Fn() -> B,
+    examples: &[(&'static str, Config)],
+) -> Result<()> {
+    examples.iter().try_for_each(|(name, config)| of_a_step(&make, name, config))
 }
 
 /// With every term, a run that is interrupted and resumed equals an uninterrupted run. `file` is the path of the checkpoint.

@@ -152,7 +152,7 @@ pub fn brute_force<B: Backend>(make: impl Fn() -> B) -> Result<()> {
             assert!(found.all(|t| (leave - t).abs() < 1e-5), "{ray:?}: samples that no step has");
         }
         assert!(total > 500, "the rays meet {total} occupied steps");
-        assert!((borderline as f64) < BORDER_SHARE * total as f64, "{borderline} of {total} at a border");
+        assert!(f64::from(borderline) < BORDER_SHARE * total as f64, "{borderline} of {total} at a border");
     }
     Ok(())
 }

@@ -120,7 +120,7 @@ pub fn kept<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         assert!(row > 300, "the rays see something");
         assert_eq!(merged > 30, limits.1 > 0.0, "limits {limits:?} merge {merged} samples");
         assert_eq!(dropped > 100, limits.0 > 0.0, "limits {limits:?} drop {dropped} samples");
-        let fraction = doubtful as f64 / marched.len() as f64;
+        let fraction = f64::from(doubtful) / marched.len() as f64;
         assert!(
             fraction <= DOUBTFUL_FRACTION,
             "{limits:?}: {doubtful} of {} rays are near a limit",

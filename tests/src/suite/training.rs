@@ -499,7 +499,7 @@ pub fn empty_occupancy<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         match &mut tensor.values {
             trimip_core::field::tensors::Values::U8(bits) if name == "occupancy" => bits.fill(0),
             trimip_core::field::tensors::Values::F32(densities) if name == "occupancy.density" => {
-                densities.fill(0.0)
+                densities.fill(0.0);
             }
             _ => {}
         }

@@ -267,6 +267,6 @@ mod tests {
         assert!(old.deinterlace() == "yadif," && old.tones(true).is_empty());
         assert_eq!(old.measured_size(), [720, 576]);
         assert_eq!(Film::of_json(b"{\"streams\":[]}"), None);
-        assert_eq!((rate("0/0"), rate("30000/1001").map(|r| r.round())), (None, Some(30.0)));
+        assert_eq!((rate("0/0"), rate("30000/1001").map(f64::round)), (None, Some(30.0)));
     }
 }

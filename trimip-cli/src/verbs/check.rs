@@ -32,7 +32,7 @@ pub fn run(arguments: &CheckArguments) -> Result<u8> {
                 bar.suspend(|| {
                     terminal::prose(format!(
                         "{part}, {case}: {law}: {worst:.1e}, at most {bound:.1e}{verdict}"
-                    ))
+                    ));
                 });
             } else {
                 let numbers = format!("{worst:>10.1e} {bound:>10.1e}{verdict}");

@@ -96,7 +96,7 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     match ranks::all() {
         // The other ranks receive their jobs as indices of views.
         Some(all) => {
-            scatter_jobs(&*all, &request.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?
+            scatter_jobs(&*all, &request.digest()?, &left, &|| !stop.load(Ordering::Relaxed), draw, keep)?;
         }
         None => {
             for view in left {

@@ -37,10 +37,14 @@ pub struct ForeignSection {
     pub fragments: &'static [Fragment],
     /// Checks the values of the section, given as a table.
     pub(crate) check: fn(&Table, &Checker<'_>) -> Result<()>,
-    /// The section's addition to another room of core, which knows its type
-    /// ([`with_losses`](ForeignSection::with_losses)).
-    pub(crate) addition: Option<&'static (dyn Any + Send + Sync)>,
+    /// What the section adds to another room of core.
+    pub(crate) addition: Option<Addition>,
 }
+
+/// What a section adds to another room of core, which knows its type. [`losses::addition`](crate::field::losses::addition) makes
+/// one for loss terms.
+#[derive(Clone, Copy)]
+pub struct Addition(pub(crate) &'static (dyn Any + Send + Sync));
 
 /// A section of the table of settings. The settings above all sections form a section without a name.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -267,7 +271,7 @@ impl DocumentedSection {
 
     /// Returns the settings as a table in Markdown.
     pub fn markdown(&self) -> String {
-        let cell = |text: &str| ['|', '<', '[', '*'].iter().fold(text.to_string(), escaped);
+        let cell = |text: &str| ['|', '<', '[', '*'].into_iter().fold(text.to_string(), escaped);
         let mut table = "| setting | default | range | meaning |\n|---|---|---|---|\n".to_string();
         for DocumentedSetting { key, default, range, meaning, .. } in &self.settings {
             table += &format!("| `{key}` | `{default}` | {range} | {} |\n", cell(meaning));
@@ -298,8 +302,8 @@ impl Definitions {
 }
 
 /// Puts a backslash before every `sign`, so that Markdown shows it literally.
-fn escaped(text: String, sign: &char) -> String {
-    text.replace(*sign, &format!("\\{sign}"))
+fn escaped(text: String, sign: char) -> String {
+    text.replace(sign, &format!("\\{sign}"))
 }
 
 /// Capitalises the first letter.

@@ -41,7 +41,7 @@ impl EncoderKind {
     pub(super) fn owner(path: &str) -> Option<Self> {
         match path.split_once('.') {
             Some(("encoder", "kind")) => None,
-            Some(("encoder", _)) | Some(("optimizer", "plane_scale")) => Some(Self::TriMip),
+            Some(("encoder", _) | ("optimizer", "plane_scale")) => Some(Self::TriMip),
             Some(("hash_grid", _)) => Some(Self::HashGrid),
             Some(("rip_map", _)) => Some(Self::RipMap),
             Some(("tensor", _)) => Some(Self::Tensor),

@@ -310,7 +310,7 @@ impl ErrorMap {
 /// a scale.
 #[inline]
 pub fn per_pixel(count: usize) -> f32 {
-    4_294_967_296.0 / count as f32
+    4_294_967_300.0 / count as f32
 }
 
 #[cfg(test)]

@@ -54,7 +54,10 @@ pub trait Watch {
         let _ = (index, pair);
         Ok(PerceptualScores::NOTHING)
     }
-    /// Called when a view was rendered and measured.
+    /// Called when a view was rendered and measured. Returns false to end the evaluation.
+    ///
+    /// # Errors
+    /// When the result cannot be kept, for example because its pictures cannot be written.
     fn view(&mut self, view: &ViewResult<'_>) -> Result<bool>;
 }
 

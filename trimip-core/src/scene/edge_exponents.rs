@@ -138,9 +138,9 @@ mod tests {
                     let at = |shift: f64| {
                         let (mut rgb, mut opacity) = (rgb, opacity);
                         if i < 3 {
-                            rgb[i] += shift
+                            rgb[i] += shift;
                         } else {
-                            opacity += shift
+                            opacity += shift;
                         }
                         value(rgb, opacity)
                     };

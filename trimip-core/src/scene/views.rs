@@ -185,6 +185,9 @@ pub trait Frames: Send + Sync {
     /// Returns the cameras of all frames at every scale. Decodes no photograph.
     fn cameras(&self) -> Vec<Camera>;
     /// Loads frame `index` at every scale: a set of one view per scale, fine to coarse.
+    ///
+    /// # Errors
+    /// When the photograph or its mask cannot be read.
     fn load(&self, index: usize) -> Result<ViewSet>;
 }
 

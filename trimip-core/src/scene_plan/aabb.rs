@@ -70,7 +70,7 @@ pub(super) fn find(context: &Context<'_>) -> Proposal {
         }
     };
     let smaller = sized(context, &aabb);
-    let [x, y, z] = aabb.extent().map(|side| format!("{:.3}", side));
+    let [x, y, z] = aabb.extent().map(|side| format!("{side:.3}"));
     let sizes =
         [now, &smaller].map(|config| Pyramid::new(&config.encoder, &Aabb::new(&config.scene)).base_len());
     let saved = match sizes {

@@ -165,7 +165,7 @@ mod tests {
         let turned = find(&set, facing.as_ref());
         match (usual.0.direction, turned.direction) {
             (Some(usual), Some(turned)) => {
-                assert!((turn * usual - turned).length() < 0.03, "{usual} {turned}")
+                assert!((turn * usual - turned).length() < 0.03, "{usual} {turned}");
             }
             (usual, turned) => assert_eq!(usual, turned),
         }

@@ -272,7 +272,7 @@ impl Mlp {
                         if !layer.biases.is_empty() {
                             let rows = out.chunks_exact_mut(layer.n()).take(count);
                             rows.for_each(|row| {
-                                row.iter_mut().zip(&*layer.biases).for_each(|(x, b)| *x += b)
+                                row.iter_mut().zip(&*layer.biases).for_each(|(x, b)| *x += b);
                             });
                         }
                     }

@@ -4,6 +4,7 @@
 //!
 //! Each thread has its own registers. Call [`Shapes::load`] before their first use and [`release`] after the last.
 
+use super::cpuid;
 use std::arch::x86_64::*;
 use std::sync::OnceLock;
 
@@ -18,7 +19,7 @@ pub fn is_available() -> bool {
 fn has_tiles() -> bool {
     const TILE_AND_BF16: u32 = 1 << 24 | 1 << 22;
     // Leaf 0 reports the highest leaf.
-    __cpuid(0).eax >= 7 && __cpuid_count(7, 0).edx & TILE_AND_BF16 == TILE_AND_BF16
+    cpuid(0).eax >= 7 && cpuid(7).edx & TILE_AND_BF16 == TILE_AND_BF16
 }
 
 /// Requests permission from Linux to use the tile registers, as a process must do before their first use (`arch_prctl`,
@@ -74,7 +75,7 @@ impl Shapes {
     pub unsafe fn load(&self) {
         // SAFETY: the 64 bytes are a valid configuration.
         unsafe {
-            std::arch::asm!("ldtilecfg [{}]", in(reg) self, options(nostack, readonly, preserves_flags))
+            std::arch::asm!("ldtilecfg [{}]", in(reg) self, options(nostack, readonly, preserves_flags));
         };
     }
 }

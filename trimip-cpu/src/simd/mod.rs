@@ -157,10 +157,18 @@ impl Simd {
     }
 }
 
+/// Returns the registers that CPUID reports for `leaf`, sub-leaf 0.
+#[cfg(target_arch = "x86_64")]
+#[allow(unused_unsafe, reason = "recent versions of Rust declare the function safe")]
+fn cpuid(leaf: u32) -> std::arch::x86_64::CpuidResult {
+    // SAFETY: every x86-64 processor has the instruction.
+    unsafe { std::arch::x86_64::__cpuid_count(leaf, 0) }
+}
+
 /// Returns true if CPUID names Intel as the processor's maker.
 #[cfg(target_arch = "x86_64")]
 fn is_of_intel() -> bool {
-    let maker = std::arch::x86_64::__cpuid(0);
+    let maker = cpuid(0);
     [maker.ebx, maker.edx, maker.ecx].map(u32::to_le_bytes).concat() == *b"GenuineIntel"
 }
 

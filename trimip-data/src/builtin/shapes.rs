@@ -212,7 +212,7 @@ mod tests {
                 }
                 (None, Some(sampled)) => prop_assert!(false, "missed at {sampled}"),
                 // The chord is too short to be sampled; only the checks below apply to the hit.
-                (Some(_), None) | (None, None) => {}
+                (Some(_) | None, None) => {}
             }
             if let Some(hit) = hit {
                 let point = origin + hit * direction;

@@ -169,8 +169,8 @@ fn readable(bytes: &[u8]) -> Vec<u8> {
 impl Encoding {
     fn extension(self) -> &'static str {
         match self {
-            Encoding::Text => "txt",
-            Encoding::Binary => "bin",
+            Self::Text => "txt",
+            Self::Binary => "bin",
         }
     }
 }

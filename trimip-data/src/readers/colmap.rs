@@ -20,7 +20,7 @@ pub(super) static READER: Reader = Reader {
 
 impl OpenScene for Capture {
     fn split(&self, split: &str) -> Result<Split> {
-        Capture::split(self, split)
+        Self::split(self, split)
     }
 
     fn undivided(&self) -> Result<Option<Split>> {

@@ -220,7 +220,7 @@ impl Linear {
         let has_focal = k.lens.model.definition().distorted;
         let by_focal = if has_focal { [at[0] - k.cx, at[1] - k.cy] } else { [0.0; 2] };
         let weight = if error <= huber { 1.0 } else { huber / error };
-        Some(Linear { unknowns, by_pose, by_focal, by_point, residual, weight })
+        Some(Self { unknowns, by_pose, by_focal, by_point, residual, weight })
     }
 
     /// Returns the derivatives with respect to the unknowns of the pose and of the lens, each with the index of its unknown.

@@ -13,7 +13,7 @@ pub enum Source {
     /// A constant that Rust defines.
     Constant(&'static str, Value),
     /// Several parts.
-    Parts(&'static [Source]),
+    Parts(&'static [Self]),
 }
 
 /// Value of a constant.

@@ -130,7 +130,7 @@ impl History {
                 });
             }
             Event::Warning { message } if !self.warnings.contains(message) => {
-                self.warnings.push(message.clone())
+                self.warnings.push(message.clone());
             }
             Event::Poses { moved, aligned } => self.poses = Some((*moved, *aligned)),
             Event::Finished { .. } => self.finished = true,
@@ -145,7 +145,7 @@ impl History {
                     wall_seconds: *wall_seconds,
                     peak_memory_bytes: *peak_memory_bytes,
                     provenance: provenance.clone(),
-                })
+                });
             }
             _ => {}
         }

@@ -77,7 +77,7 @@ pub fn write(
                 Quantity::Color => {
                     channels.extend(["R", "G", "B"].into_iter().enumerate().map(|(c, name)| {
                         (name, frame.pixels.iter().map(|pixel| pictures::linear(pixel.rgb[c])).collect())
-                    }))
+                    }));
                 }
                 // Infinite where the ray hits nothing, because compositing programs expect this of Z.
                 Quantity::Depth => channels.push(("Z", pictures::depth(frame, f32::INFINITY))),

@@ -3,7 +3,7 @@
 
 use super::checker::Checker;
 use super::values::{fit, shown};
-use crate::config::defaults::{ForeignSection, Fragment, definitions_of};
+use crate::config::defaults::{Addition, ForeignSection, Fragment, definitions_of};
 use crate::{Advice, Error, Place, Result};
 use serde::{Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
@@ -43,6 +43,9 @@ pub trait Section: Serialize + DeserializeOwned {
     const NAME: &'static str;
     /// Settings that the crate adds to the section, in order.
     const FRAGMENTS: &'static [Fragment];
+    /// What the section adds to other parts of the program, such as
+    /// [loss terms](crate::field::losses::LossSection).
+    const ADDITION: Option<Addition> = None;
 
     /// Refuses settings that contradict each other.
     ///
@@ -57,7 +60,7 @@ pub trait Section: Serialize + DeserializeOwned {
 impl ForeignSection {
     /// Returns the section that the type `S` describes.
     pub const fn of<S: Section>() -> Self {
-        Self { name: S::NAME, fragments: S::FRAGMENTS, check: check::<S>, addition: None }
+        Self { name: S::NAME, fragments: S::FRAGMENTS, check: check::<S>, addition: S::ADDITION }
     }
 }
 

@@ -42,13 +42,13 @@ macro_rules! plain {
 
 plain!(bool, i32, i64, u32, f32, f64, &str, String);
 
-impl<T: Into<SettingValue>> From<Vec<T>> for SettingValue {
+impl<T: Into<Self>> From<Vec<T>> for SettingValue {
     fn from(values: Vec<T>) -> Self {
         Self(Value::Array(values.into_iter().map(|value| value.into().0).collect()))
     }
 }
 
-impl<T: Into<SettingValue>, const N: usize> From<[T; N]> for SettingValue {
+impl<T: Into<Self>, const N: usize> From<[T; N]> for SettingValue {
     fn from(values: [T; N]) -> Self {
         Vec::from(values).into()
     }

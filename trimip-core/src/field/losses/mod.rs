@@ -19,7 +19,7 @@ pub use crate::geometry::elements::Target;
 pub use definition::{
     Adjustment, ConeSamples, Definition, PhotometricTerm, PhotometricVisitor, PixelTerm, RaySample, RayTerm,
 };
-pub use others::{Held, LossSection, Term, Terms, others};
+pub use others::{Held, LossSection, Term, Terms, addition, others};
 
 use crate::config::{LossConfig, Photometric};
 

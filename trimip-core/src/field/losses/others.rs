@@ -1,7 +1,7 @@
 //! Loss terms of other crates: a section of settings adds terms that are made from its values.
 
 use super::{Definition, PIXEL_TERMS, PixelTerm, RAY_TERMS, RayTerm};
-use crate::{Config, ForeignSection, Result, Section};
+use crate::{Addition, Config, Result, Section};
 use std::ops::Deref;
 use std::sync::Arc;
 
@@ -25,9 +25,9 @@ impl Term {
     }
 }
 
-/// A section of settings whose crate adds terms to the loss. A program registers the section with
-/// [`ForeignSection::with_losses`]. The CPU backend computes the terms; the wgpu backend refuses them, because they have no
-/// WGSL.
+/// A section of settings whose crate adds terms to the loss: it implements this trait, and its
+/// [`Section::ADDITION`] is `Some(losses::addition::<Self>())`. The CPU backend computes the terms; the wgpu backend refuses
+/// terms whose weight is not 0, because they have no WGSL.
 pub trait LossSection: Section {
     /// Returns the terms for these settings, in the order in which they are added up. A term takes its weight and its
     /// numbers from the section; it may ignore the [`LossConfig`](crate::config::LossConfig) that it receives.
@@ -37,14 +37,9 @@ pub trait LossSection: Section {
 /// Function that makes the terms of a section.
 type TermsOf = fn(&Config) -> Result<Vec<Term>>;
 
-impl ForeignSection {
-    /// Returns the section that the type `S` describes. Its terms become part of the loss of every configuration with this
-    /// section.
-    pub const fn with_losses<S: LossSection>() -> Self {
-        let mut section = Self::of::<S>();
-        section.addition = Some(&const { terms_of::<S> as TermsOf });
-        section
-    }
+/// Returns the addition of a section that adds loss terms.
+pub const fn addition<S: LossSection>() -> Addition {
+    Addition(&const { terms_of::<S> as TermsOf })
 }
 
 fn terms_of<S: LossSection>(config: &Config) -> Result<Vec<Term>> {
@@ -58,7 +53,7 @@ fn terms_of<S: LossSection>(config: &Config) -> Result<Vec<Term>> {
 pub fn others(config: &Config) -> Result<Vec<Term>> {
     let mut terms = Vec::new();
     for section in config.registered_sections() {
-        if let Some(of) = section.addition.and_then(|addition| addition.downcast_ref::<TermsOf>()) {
+        if let Some(of) = section.addition.and_then(|addition| addition.0.downcast_ref::<TermsOf>()) {
             terms.extend(of(config)?);
         }
     }
