@@ -72,8 +72,12 @@ fn two_processes_are_kept_apart_and_a_killed_one_leaves_no_lock() {
     assert_eq!(fs::read(here.join("run/plan.json")).unwrap(), plan);
     // Baking is refused, because it changes the model.
     fs::copy(here.join("run/checkpoint.safetensors"), here.join("run/model.safetensors")).unwrap();
-    let bake = run(here, &["bake", "run"]);
-    assert!(bake.code == Some(2) && bake.err.contains("another process"), "{}", bake.err);
+    for arguments in
+        [&["run"][..], &["run/model.safetensors"], &["run", "--out", "run/checkpoint.safetensors"]]
+    {
+        let bake = run(here, &[&["bake"], arguments].concat());
+        assert!(bake.code == Some(2) && bake.err.contains("another process"), "{}", bake.err);
+    }
     fs::remove_file(here.join("run/model.safetensors")).unwrap();
     // Verbs that only read need no lock.
     let eval = run(here, &["eval", "run"]);

@@ -10,6 +10,7 @@ use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 use trimip::mesh::{self, Extraction, Goal};
+use trimip::run::lock_for_writing;
 use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
 use trimip_core::{Query, field::encoders, run::evaluate::ViewResult, scene::origin::LocalOrigin};
@@ -306,7 +307,11 @@ impl Model {
 
     /// Writes the model file and returns its size in bytes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
-        py.detach(|| self.model.write(&path)).map_err(raised)
+        let write = || {
+            let _held = lock_for_writing(&path)?;
+            self.model.write(&path)
+        };
+        py.detach(write).map_err(raised)
     }
 
     /// All settings, as nested dictionaries.

@@ -3,7 +3,8 @@
 use crate::{args::BakeArguments, interrupt, progress::bar, terminal};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use trimip::{Error, Result, backends, run::folder as run_folder, settings};
+use trimip::run::{folder as run_folder, lock_for_writing};
+use trimip::{Error, Result, backends, settings};
 use trimip_core::config::RendererKind;
 use trimip_core::engine::proxy::{Baking, bake};
 use trimip_core::field::model::Model;
@@ -14,8 +15,10 @@ const BAR: u64 = 1000;
 /// Computes the proxy and writes the model with it.
 pub fn run(arguments: &BakeArguments) -> Result<u8> {
     run_folder::expect_any(&arguments.model)?;
-    let folder = arguments.model.is_dir().then(|| run_folder::RunFolder::new(&arguments.model));
-    let path = folder.as_ref().map_or_else(|| arguments.model.clone(), run_folder::RunFolder::model);
+    let path = match arguments.model.is_dir() {
+        true => run_folder::RunFolder::new(&arguments.model).model(),
+        false => arguments.model.clone(),
+    };
     if arguments.model.is_dir() && !path.exists() {
         return Err(Error::input(
             arguments.model.display(),
@@ -23,13 +26,13 @@ pub fn run(arguments: &BakeArguments) -> Result<u8> {
             "train to the end first, or name a model file",
         ));
     }
+    let out = arguments.out.as_ref().unwrap_or(&path);
     // Without the lock, this command could overwrite the model of a run that trains in the folder.
-    let _held = folder.filter(|_| arguments.out.is_none()).map(|folder| folder.lock()).transpose()?;
+    let _held = lock_for_writing(out)?;
     let mut model = Model::read(&path)?;
     settings::override_model(&mut model, &arguments.set)?;
     model.config.renderer.kind = RendererKind::Volume;
     backends::check(&model.config.backend)?;
-    let out = arguments.out.as_ref().unwrap_or(&path);
     if let Some(folder) = out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         run_folder::create_writable(folder)?;
     }

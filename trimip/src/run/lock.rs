@@ -49,15 +49,23 @@ impl RunFolder {
     /// # Errors
     /// When another process holds the lock, or the lock file cannot be written.
     pub fn lock(&self) -> Result<Lock> {
+        self.lock_with(File::try_lock)
+    }
+
+    /// Locks the folder with `try_lock`.
+    fn lock_with(&self, try_lock: impl Fn(&File) -> std::result::Result<(), TryLockError>) -> Result<Lock> {
         let path = self.root().join("run.lock");
         loop {
+            // Windows locks only files that are open for reading, or for writing at any place.
             let file = File::options()
                 .create(true)
-                .append(true)
+                .read(true)
+                .write(true)
+                .truncate(false)
                 .open(&path)
                 .map_err(|error| Error::input(path.display(), error, Advice::OtherFolder))?;
-            match file.try_lock() {
-                Ok(()) if is_at(&file, &path) => return Ok(Lock { path, _file: file }),
+            match try_lock(&file) {
+                Ok(()) if is_at(&file, &path) => return Ok(Lock { path, _file: file, warning: None }),
                 // The previous holder has removed its file meanwhile, so this lock is on a deleted file: try again.
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => {
@@ -71,16 +79,37 @@ impl RunFolder {
                     ));
                 }
                 // A file system without locks cannot exclude other processes.
-                Err(TryLockError::Error(_)) => return Ok(Lock { path, _file: file }),
+                Err(TryLockError::Error(error)) => {
+                    let warning = format!(
+                        "{}: cannot be locked ({error}): a second process could write into this folder; start none",
+                        self.root().display()
+                    );
+                    return Ok(Lock { path, _file: file, warning: Some(warning) });
+                }
             }
         }
     }
+}
+
+/// Locks the run folder to which the file `path` belongs, before the file is replaced; `None` if no run wrote the folder, or the
+/// file is none of a run's files.
+///
+/// # Errors
+/// For the reasons of [`RunFolder::lock`].
+pub fn lock_for_writing(path: &Path) -> Result<Option<Lock>> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
+    let folder = RunFolder::new(parent.unwrap_or(Path::new(".")));
+    let name = path.file_name();
+    let is_of_run = folder.files().iter().any(|file| file.file_name() == name);
+    (is_of_run && folder.is_ours()).then(|| folder.lock()).transpose()
 }
 
 /// A lock on a folder. Dropping it removes the lock file.
 #[derive(Debug)]
 pub struct Lock {
     path: PathBuf,
+    /// One line if the file system has no locks: other processes are not excluded.
+    pub(crate) warning: Option<String>,
     /// The lock is held while the file is open.
     _file: File,
 }
@@ -193,5 +222,29 @@ mod tests {
         // The leftover file of a killed process blocks no other process.
         std::fs::write(folder.root().join("run.lock"), "").unwrap();
         folder.lock().unwrap();
+    }
+
+    #[test]
+    fn a_file_of_a_run_is_written_under_the_lock_of_the_run() {
+        let (_keep, folder) = folder();
+        // Without a run, nothing is locked.
+        assert!(lock_for_writing(&folder.model()).unwrap().is_none());
+        std::fs::write(folder.metrics(), serde_json::to_string(&evaluation(1, 1, true, 20.0)).unwrap())
+            .unwrap();
+        assert!(lock_for_writing(&folder.root().join("copy.safetensors")).unwrap().is_none());
+        let held = folder.lock().unwrap();
+        let error = lock_for_writing(&folder.model()).unwrap_err();
+        assert!(error.message().contains("another process works on this run"), "{error}");
+        drop(held);
+        assert!(lock_for_writing(&folder.model()).unwrap().is_some());
+    }
+
+    #[test]
+    fn a_file_system_without_locks_is_a_warning() {
+        let (_keep, folder) = folder();
+        let refused = |_: &File| Err(TryLockError::Error(std::io::ErrorKind::Unsupported.into()));
+        let warning = folder.lock_with(refused).unwrap().warning.unwrap();
+        assert!(warning.contains("cannot be locked (unsupported)"), "{warning}");
+        assert_eq!(folder.lock().unwrap().warning, None);
     }
 }

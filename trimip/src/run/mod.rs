@@ -19,5 +19,5 @@ pub mod store;
 pub mod train;
 
 pub use begin::expect_same;
-pub use lock::Lock;
+pub use lock::{Lock, lock_for_writing};
 pub use recorded::Recorded;

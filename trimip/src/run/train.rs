@@ -326,6 +326,7 @@ impl Training {
             warnings.extend(memory::check(&config, &predicted, self.near.size)?);
         }
         warnings.extend(backends::software_warning(&config));
+        warnings.extend(held.warning.clone());
         let data = Some(Fingerprint::of(&scene.train));
         let photographed = cameras::finest(&scene.train);
         let mut session = match &self.ranks {
