@@ -243,8 +243,10 @@ mod tests {
     fn a_file_system_without_locks_is_a_warning() {
         let (_keep, folder) = folder();
         let refused = |_: &File| Err(TryLockError::Error(std::io::ErrorKind::Unsupported.into()));
-        let warning = folder.lock_with(refused).unwrap().warning.unwrap();
+        let lock = folder.lock_with(refused).unwrap();
+        let warning = lock.warning.as_deref().unwrap();
         assert!(warning.contains("cannot be locked (unsupported)"), "{warning}");
+        drop(lock);
         assert_eq!(folder.lock().unwrap().warning, None);
     }
 }
