@@ -3,8 +3,15 @@
 
 use crate::{Error, Result};
 use std::fs::File;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Number of temporary names that are tried for a file.
+const NAMES: usize = 100;
+
+/// Number of attempts to rename a file that another program has open, and the time between them.
+const ATTEMPTS: (u32, Duration) = (20, Duration::from_millis(50));
 
 /// Writes `bytes` to a temporary file and renames it, so that readers see either the old file or the complete new one.
 ///
@@ -14,39 +21,81 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |file| file.write_all(bytes))
 }
 
-/// Returns the temporary name of `path` while it is written: `path` with `.tmp` appended. Only a killed process leaves
+/// Returns the first temporary name of `path` while it is written: `path` with `.tmp` appended. Only a killed process leaves
 /// this file behind.
 pub fn temporary(path: &Path) -> PathBuf {
+    named(path, ".tmp")
+}
+
+/// Returns all temporary names of `path`, in the order in which they are tried: `.tmp`, `.1.tmp`, `.2.tmp`, … appended.
+pub fn temporaries(path: &Path) -> impl Iterator<Item = PathBuf> + '_ {
+    let others = (1..NAMES).map(|i| named(path, &format!(".{i}.tmp")));
+    std::iter::once(temporary(path)).chain(others)
+}
+
+fn named(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
-    name.push(".tmp");
+    name.push(ending);
     name.into()
 }
 
 /// Lets `fill` write a temporary file next to `path`, flushes it to disk, renames it to `path` and flushes the folder.
-/// On failure the old file stays unchanged, and the temporary file is removed.
+/// On failure the old file stays unchanged, and the temporary file is removed. A file that has the temporary name already
+/// stays as it is: another name is used.
 pub(crate) fn replace_atomically<T>(
     path: &Path,
     fill: impl FnOnce(&mut File) -> std::io::Result<T>,
 ) -> Result<T> {
-    let temporary = temporary(path);
+    let failed = |error: std::io::Error| {
+        let advice = match is_open_elsewhere(&error) {
+            true => "close it in the program that has it open, or choose another place",
+            false => "free space there or choose another place",
+        };
+        Error::input(path.display(), format!("cannot write: {error}"), advice)
+    };
+    let (mut file, temporary) = new_file(path).map_err(failed)?;
     let write = || {
-        let mut file = File::create(&temporary)?;
         let result = fill(&mut file)?;
         file.sync_all()?;
-        std::fs::rename(&temporary, path)?;
+        drop(file);
+        rename(&temporary, path)?;
         Ok(result)
     };
     let result = write().map_err(|error: std::io::Error| {
         // Remove the partial file: it only takes space, on a disk that may be full.
         let _ = std::fs::remove_file(&temporary);
-        Error::input(
-            path.display(),
-            format!("cannot write: {error}"),
-            "free space there or choose another place",
-        )
+        failed(error)
     })?;
     sync_folder_of(path);
     Ok(result)
+}
+
+/// Creates a file with a temporary name of `path` that no file or link has.
+fn new_file(path: &Path) -> std::io::Result<(File, PathBuf)> {
+    for name in temporaries(path) {
+        match File::options().write(true).create_new(true).open(&name) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            result => return result.map(|file| (file, name)),
+        }
+    }
+    Err(ErrorKind::AlreadyExists.into())
+}
+
+/// Renames a file. If another program has the target open, tries again for a second.
+fn rename(from: &Path, to: &Path) -> std::io::Result<()> {
+    for _ in 1..ATTEMPTS.0 {
+        match std::fs::rename(from, to) {
+            Err(error) if is_open_elsewhere(&error) => std::thread::sleep(ATTEMPTS.1),
+            result => return result,
+        }
+    }
+    std::fs::rename(from, to)
+}
+
+/// Returns true for the errors with which Windows refuses to replace a file that another program has open: access denied, sharing
+/// violation, user-mapped section open.
+fn is_open_elsewhere(error: &std::io::Error) -> bool {
+    cfg!(windows) && matches!(error.raw_os_error(), Some(5 | 32 | 1224))
 }
 
 /// Flushes the folder entry of a file or folder to disk; without this a power failure may undo a rename. Does nothing
@@ -69,12 +118,40 @@ mod tests {
         write_atomically(&path, b"old").unwrap();
         let error = replace_atomically(&path, |file| {
             file.write_all(b"half of the ne")?;
-            Err::<(), _>(std::io::ErrorKind::StorageFull.into())
+            Err::<(), _>(ErrorKind::StorageFull.into())
         })
         .unwrap_err();
         assert!(error.to_string().contains("cannot write"), "{error}");
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_file_of_the_temporary_name_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("file");
+        std::fs::write(temporary(&path), "the user's").unwrap();
+        write_atomically(&path, b"new").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+        assert_eq!(std::fs::read(temporary(&path)).unwrap(), b"the user's");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+        // If all names are taken, nothing is written.
+        temporaries(&path).for_each(|name| std::fs::write(name, "").unwrap());
+        assert!(write_atomically(&path, b"newer").unwrap_err().message().contains("cannot write"));
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_of_the_temporary_name_is_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, target) = (folder.path().join("file"), folder.path().join("target"));
+        std::fs::write(&target, "old").unwrap();
+        std::os::unix::fs::symlink(&target, temporary(&path)).unwrap();
+        write_atomically(&path, b"new").unwrap();
+        assert_eq!(std::fs::read(&target).unwrap(), b"old");
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+        assert!(!std::fs::symlink_metadata(&path).unwrap().is_symlink());
     }
 
     #[cfg(unix)]

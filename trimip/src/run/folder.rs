@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use trimip_core::{
     Advice, Config, Error, Result,
-    atomic::{temporary, write_atomically},
+    atomic::{temporaries, write_atomically},
     engine::{checkpoint::Checkpoint, events::Event},
     field::model::Model,
     scene_plan::Finding,
@@ -246,9 +246,11 @@ impl RunFolder {
         let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
         let half = entries.map(|entry| entry.path()).filter(|path| {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            name.strip_suffix(".tmp").is_some_and(is_picture)
+            let Some(name) = name.strip_suffix(".tmp") else { return false };
+            is_picture(name) || name.rsplit_once('.').is_some_and(|(name, _)| is_picture(name))
         });
-        for path in self.files().iter().map(|path| temporary(path)).chain(half) {
+        let files = self.files();
+        for path in files.iter().flat_map(|path| temporaries(path)).chain(half) {
             // A file that cannot be removed only takes space.
             let _ = std::fs::remove_file(path);
         }
@@ -449,7 +451,8 @@ mod tests {
         let (_keep, folder) = folder();
         folder.prepare_images().unwrap();
         let picture = folder.images().join(format!("{}.png", picture_stem(3, "r_3", 1)));
-        let half: Vec<_> = folder.files().into_iter().chain([picture]).map(|path| temporary(&path)).collect();
+        let files: Vec<_> = folder.files().into_iter().chain([picture]).collect();
+        let half: Vec<_> = files.iter().flat_map(|path| temporaries(path).take(2)).collect();
         let theirs = [folder.root().join("notes.tmp"), folder.images().join("r_3.png.tmp")];
         half.iter().chain(&theirs).for_each(|path| std::fs::write(path, "x").unwrap());
         folder.sweep();
