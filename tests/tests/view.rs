@@ -69,6 +69,16 @@ fn only_who_knows_the_token_and_comes_from_the_page_may_enter() {
     }
     assert_eq!(shown.get(&own, &["Origin: http://elsewhere.example"]).0, 403);
     assert_eq!(shown.get(&own, &["Host: elsewhere.example"]).0, 403, "a name that points here");
+    let both = [&format!("Host: {}", shown.host), "Host: elsewhere.example"];
+    assert_ne!(shown.get(&own, &both).0, 200, "two hosts");
+    assert_eq!(shown.get(&format!("{own}report.html"), &[]).0, 403, "the report has an address of its own");
+    let (_, scene) = shown.get(&format!("{own}scene.json"), &[]);
+    let report: Value = serde_json::from_slice(&scene).unwrap();
+    let report = report["report"].as_str().unwrap();
+    assert_eq!(shown.get(report, &[]).0, 200);
+    for file in ["", "scene.json", "photo/test/0?width=8&height=8", "socket"] {
+        assert_eq!(shown.get(&report.replace("report.html", file), &[]).0, 403, "{file}");
+    }
     assert_eq!(shown.join(&"0".repeat(32), None).err(), Some(403));
     let token = shown.token.clone();
     assert_eq!(shown.join(&token, Some("http://elsewhere.example")).err(), Some(403));
@@ -449,6 +459,11 @@ fn the_page_works_in_a_browser() {
     );
     assert_eq!(browser.value("document.querySelector('main img').naturalWidth > 0"), true);
     assert_eq!(browser.value("origin"), "null", "the report has no part in the viewer's origin");
+    // Nothing that a script in the report can read contains the token of the viewer.
+    let readable = "[location.href, document.referrer, document.documentElement.outerHTML,
+        ...(window.navigation ? navigation.entries().map((entry) => entry.url) : [])].join(' ')";
+    let readable = browser.value(readable);
+    assert!(!readable.as_str().unwrap().contains(&shown.token), "{readable}");
     browser.value("document.getElementById('viewer').click()");
     browser.wait("document.getElementById('view')?.dataset.done === 'true'");
 }

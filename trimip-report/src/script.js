@@ -93,7 +93,13 @@
   for (const shot of document.querySelectorAll(".shot")) {
     alone(shot.querySelector("img"), shot.querySelector("figcaption").textContent);
   }
-  // `trimip-cli view` serves the report next to the viewer page, under the same token.
+  // `trimip-cli view` serves the report under an address that does not show that of the viewer.
   const viewer = document.getElementById("viewer");
-  if (viewer) viewer.hidden = !/^\/[0-9a-f]{32}\/report\.html$/.test(location.pathname);
+  if (viewer) {
+    viewer.hidden = !/^\/[0-9a-f]{32}\/report\.html$/.test(location.pathname);
+    viewer.addEventListener("click", (event) => {
+      event.preventDefault();
+      history.back();
+    });
+  }
 })();

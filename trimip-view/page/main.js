@@ -23,6 +23,7 @@ document.title = `${scene.name} · trimip`;
 find("name").textContent = scene.name;
 find("device").textContent = `${scene.encoder} · ${scene.device}`;
 find("report").hidden = !scene.report;
+if (scene.report) find("report").querySelector("a").href = scene.report;
 for (const note of scene.notes) find("notes").append(Object.assign(document.createElement("li"), { textContent: note }));
 find("renderer").replaceChildren(...scene.renderers.map((name) => new Option(name, name)));
 find("renderer").value = scene.renderers.at(-1);

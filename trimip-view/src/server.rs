@@ -46,6 +46,9 @@ const FILES: [(&str, &str, &str); 8] = [
     ("frusta.js", "text/javascript; charset=utf-8", include_str!("../page/frusta.js")),
 ];
 
+/// Name of the report in its address.
+const REPORT: &str = "report.html";
+
 /// Content security policy of the page: nothing is loaded from other origins.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -58,6 +61,9 @@ const REPORT_POLICY: &str = "sandbox allow-scripts; default-src 'none'; script-s
 
 struct ServerState {
     token: String,
+    /// Token in the address of the report. A report may come from a stranger and reads its own address, which therefore does not
+    /// contain the token of the viewer.
+    report_token: String,
     /// The description of the scene, as JSON.
     about: String,
     scene: Arc<Scene>,
@@ -123,11 +129,16 @@ impl Server {
         let Listener { listener, token, address } = listener;
         let mut about = scene.describe(&renderers.names(), &renderers.device());
         about["training"] = control.is_some().into();
+        let report_token = self::token()?;
+        if about["report"] == true {
+            about["report"] = format!("/{report_token}/report.html").into();
+        }
         let scene = Arc::new(scene);
         let render_thread = RenderThread::start(Arc::clone(&scene), renderers)?;
         let status = watch::channel(Arc::from("")).0;
         let state = Arc::new(ServerState {
             token,
+            report_token,
             about: about.to_string(),
             scene,
             render_thread,
@@ -143,7 +154,7 @@ impl Server {
         let routes = Router::new()
             .route("/{token}/", get(front))
             .route("/{token}/scene.json", get(about_scene))
-            .route("/{token}/report.html", get(report))
+            .route(&format!("/{{token}}/{REPORT}"), get(report))
             .route("/{token}/photo/{split}/{index}", get(photograph))
             .route("/{token}/socket", get(socket))
             .route("/{token}/{file}", get(file))
@@ -202,24 +213,28 @@ fn token() -> Result<String> {
 }
 
 impl ServerState {
-    /// Fails unless the token is right and the request comes from the page itself. If the browser sends an `Origin`, it must be this
-    /// server's. The `Host` must be `localhost` or an IP address, because an attacker could make a DNS name resolve to this machine.
-    fn admit(&self, token: &str, headers: &HeaderMap) -> std::result::Result<(), StatusCode> {
-        let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    /// Fails unless `token` is that of the requested `page` and the request comes from the page itself. If the browser sends an `Origin`, it must be this
+    /// server's. The only `Host` must be `localhost` or an IP address, because an attacker could make a DNS name resolve to this machine.
+    fn admit(&self, token: &str, page: &str, headers: &HeaderMap) -> std::result::Result<(), StatusCode> {
+        let mut hosts = headers.get_all(header::HOST).iter();
+        let host = hosts.next().and_then(|host| host.to_str().ok()).unwrap_or_default();
         let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
-        let known = name == "localhost" || name.trim_matches(['[', ']']).parse::<IpAddr>().is_ok();
+        let known = hosts.next().is_none()
+            && (name == "localhost" || name.trim_matches(['[', ']']).parse::<IpAddr>().is_ok());
         let origin = headers.get(header::ORIGIN).map(|origin| origin.to_str().unwrap_or_default());
         let own = origin.is_none_or(|origin| origin == format!("http://{host}"));
-        let same = token.len() == self.token.len()
-            && token.bytes().zip(self.token.bytes()).fold(0, |all, (a, b)| all | (a ^ b)) == 0;
+        let expected = if page == REPORT { &self.report_token } else { &self.token };
+        let same = token.len() == expected.len()
+            && token.bytes().zip(expected.bytes()).fold(0, |all, (a, b)| all | (a ^ b)) == 0;
         if same && own && known { Ok(()) } else { Err(StatusCode::FORBIDDEN) }
     }
 }
 
 /// Answers 403 to every request that [`ServerState::admit`] refuses, before the rest of the request is read.
 async fn admitted(State(state): State<Arc<ServerState>>, request: Request, next: Next) -> Answered {
-    let token = request.uri().path().split('/').nth(1).unwrap_or_default();
-    state.admit(token, request.headers())?;
+    let mut parts = request.uri().path().split('/').skip(1);
+    let (token, page) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+    state.admit(token, page, request.headers())?;
     Ok(next.run(request).await)
 }
 
@@ -286,7 +301,12 @@ async fn photograph(
     };
     let jpeg = tokio::task::spawn_blocking(work).await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?;
     let jpeg = jpeg.map_err(|_| StatusCode::NOT_FOUND)?;
-    Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
+    let headers = [
+        (header::CONTENT_TYPE, "image/jpeg"),
+        (header::CACHE_CONTROL, "no-store"),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    ];
+    Ok((headers, jpeg).into_response())
 }
 
 async fn socket(State(state): State<Arc<ServerState>>, upgrade: WebSocketUpgrade) -> Answered {
