@@ -22,6 +22,31 @@ fn training() -> Vec<&'static str> {
     tiny_and(&["--out", "run", "--set", "data.format=auto", "--set", "data.root=scene"])
 }
 
+/// A pipe without a writer and a device without an end.
+#[cfg(target_os = "linux")]
+#[test]
+fn pipes_and_devices_are_refused_at_once() {
+    let folder = scene();
+    let here = folder.path();
+    let pipe = here.join("pipe.safetensors");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for file in ["pipe.safetensors", "/dev/zero"] {
+        for arguments in [&["eval", file][..], &["render", file], &["--config", file], &["compare", file]] {
+            let answer = run(here, arguments);
+            assert_eq!(answer.code, Some(2), "{arguments:?}: {}", answer.err);
+            assert!(answer.err.contains("not a plain file"), "{arguments:?}: {}", answer.err);
+        }
+    }
+    for file in ["scene/transforms_train.json", "scene/train/r_1.png"] {
+        let away = here.join("away");
+        fs::rename(here.join(file), &away).unwrap();
+        fs::hard_link(&pipe, here.join(file)).unwrap();
+        let answer = run(here, &training());
+        assert!(answer.code == Some(2) && answer.err.contains("not a plain file"), "{file}: {}", answer.err);
+        fs::rename(&away, here.join(file)).unwrap();
+    }
+}
+
 #[test]
 fn broken_scenes_are_refused() {
     const FILE: &str = "scene/transforms_train.json";

@@ -12,6 +12,7 @@ use std::{
 use trimip::{Advice, Error, Result, run::folder::create_writable};
 use trimip_core::{
     atomic::{sync_folder_of, write_atomically},
+    plain_file,
     scene::fingerprint,
 };
 
@@ -108,7 +109,8 @@ impl Folder {
         let refused = |what: String| Error::input(root.display(), what, Advice::OtherFolder);
         // True if `capture.json` names this input.
         let marked = || {
-            let found = fs::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
+            let found =
+                plain_file::read(&path).ok().and_then(|bytes| serde_json::from_slice::<Mark>(&bytes).ok());
             match found {
                 Some(found) if found.is_of(input) => Ok(true),
                 Some(found) => Err(refused(format!("holds the capture of {}", found.input))),
@@ -154,7 +156,7 @@ impl Folder {
 
     /// Returns the state of a stage, if it is done and its first output exists.
     pub fn done<T: DeserializeOwned>(&self, stage: Stage) -> Option<Done<T>> {
-        let done = serde_json::from_slice(&fs::read(self.state(stage)).ok()?).ok()?;
+        let done = serde_json::from_slice(&plain_file::read(&self.state(stage)).ok()?).ok()?;
         let first = stage.outputs().first()?;
         self.path(first).exists().then_some(done)
     }

@@ -108,7 +108,10 @@ impl Curve {
 
     /// Reads the `report.json` of the curve's run; returns null if there is none.
     pub fn report(&self) -> serde_json::Value {
-        let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
+        let text = self
+            .folder
+            .as_ref()
+            .and_then(|folder| trimip_core::plain_file::read(&folder.join("report.json")).ok());
         text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
     }
 

@@ -26,6 +26,7 @@ pub mod geometry;
 pub mod math;
 pub mod measures;
 pub mod memory;
+pub mod plain_file;
 pub mod plural;
 pub mod run;
 pub mod scene;

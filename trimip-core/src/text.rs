@@ -30,7 +30,7 @@ pub fn decoded(bytes: &[u8]) -> Cow<'_, [u8]> {
 /// # Errors
 /// When the file cannot be read, or is neither UTF-8 nor UTF-16 with a byte order mark.
 pub fn read(path: &Path, advice: &str) -> Result<String> {
-    let bytes = std::fs::read(path)
+    let bytes = crate::plain_file::read(path)
         .map_err(|error| Error::input(path.display(), format!("cannot be read: {error}"), advice))?;
     of_bytes(path, &bytes)
 }

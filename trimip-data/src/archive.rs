@@ -15,6 +15,7 @@ use std::{
 use trimip_core::{
     Error, Result,
     atomic::{sync_folder_of, temporary},
+    plain_file,
     plural::count,
 };
 
@@ -48,8 +49,6 @@ pub(crate) struct Wanted<'a> {
 /// Of kind `Input`: an archive that is broken, unsafe or without a scene, and a folder that cannot be written or that
 /// was not made from this archive. Files written so far are removed.
 pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> {
-    // Network file systems lock only files that are open for writing.
-    let file = OpenOptions::new().read(true).write(true).open(archive).or_else(|_| File::open(archive));
     let wrong = |error: std::io::Error| {
         Error::input(
             archive.display(),
@@ -57,6 +56,9 @@ pub(crate) fn unpacked(archive: &Path, wanted: &Wanted<'_>) -> Result<Unpacked> 
             "check the path and its permissions",
         )
     };
+    plain_file::open(archive).map_err(wrong)?;
+    // Network file systems lock only files that are open for writing.
+    let file = OpenOptions::new().read(true).write(true).open(archive).or_else(|_| File::open(archive));
     let file = file.map_err(wrong)?;
     let length = file.metadata().map_err(wrong)?.len();
     let zip = Zip::of_file(&archive.into(), file.try_clone().map_err(wrong)?, &Limits::USUAL)?;

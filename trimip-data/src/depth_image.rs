@@ -9,11 +9,10 @@ use crate::{
 };
 use image::{ColorType, DynamicImage, GrayImage, ImageBuffer, Luma};
 use std::{
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Result};
+use trimip_core::{Error, Result, plain_file};
 
 /// A millimetre in metres, ARKit's unit.
 const MILLIMETRE: f64 = 1e-3;
@@ -159,7 +158,7 @@ impl DepthImage {
 /// Reads the first bytes of a file.
 fn head(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(npy::HEAD).read_to_end(&mut bytes));
+    let read = plain_file::open(path).and_then(|file| file.take(npy::HEAD).read_to_end(&mut bytes));
     read.map_err(|error| Error::input(path.display(), format!("cannot be read: {error}"), ADVICE))?;
     Ok(bytes)
 }

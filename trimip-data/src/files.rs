@@ -1,17 +1,14 @@
 //! Reads files of a scene, and finds the first that exists.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
-use trimip_core::{Error, Result};
+use std::path::{Path, PathBuf};
+use trimip_core::{Error, Result, plain_file};
 
 /// Reads the bytes of a file.
 ///
 /// # Errors
 /// Of kind `Input`, if the file cannot be read.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|error| {
+    plain_file::read(path).map_err(|error| {
         Error::input(path.display(), format!("cannot be read: {error}"), "check the path and its permissions")
     })
 }

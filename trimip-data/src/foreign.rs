@@ -2,10 +2,10 @@
 //! the command that converts them to PNG or JPEG.
 
 use std::{
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
+use trimip_core::plain_file;
 
 /// A format of photographs that the program does not read.
 #[derive(Debug, PartialEq)]
@@ -55,7 +55,7 @@ impl Foreign {
 /// Returns the format of a file, if it is one that the program does not read.
 pub(crate) fn of_file(path: &Path) -> Option<&'static Foreign> {
     let mut head = [0; 16];
-    let length = File::open(path).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
+    let length = plain_file::open(path).and_then(|mut file| file.read(&mut head)).unwrap_or(0);
     of_content(&head[..length]).or(of_name(path))
 }
 

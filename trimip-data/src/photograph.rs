@@ -9,11 +9,10 @@ use crate::{
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits, metadata::Orientation};
 use std::{
     fmt::Display,
-    fs::{self, File},
     io::{BufRead, BufReader, Cursor, Seek},
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Place, Result, memory::available_memory};
+use trimip_core::{Error, Place, Result, memory::available_memory, plain_file};
 
 /// Largest number of pixels of an image (1 GiB of RGBA): more than any photograph, and addressable everywhere.
 const MAX_PIXELS: u64 = 1 << 28;
@@ -49,7 +48,7 @@ pub(crate) struct Photograph {
 impl Photograph {
     /// Reads the header of `path`. Its pixels are used as stored, unless [`fit`](Self::fit) turns them.
     pub(crate) fn open(path: PathBuf, place: Place) -> Result<Self> {
-        match File::open(&path) {
+        match plain_file::open(&path) {
             Ok(file) => Self::header(path, place, BufReader::new(file)),
             Err(error) => Err(undecodable(&place, &path, &error)),
         }
@@ -128,7 +127,8 @@ impl Photograph {
 
     /// Decodes to width·height pixels of the file's own kind.
     pub(crate) fn image(&self) -> Result<DynamicImage> {
-        let bytes = fs::read(&self.path).map_err(|error| undecodable(&self.place, &self.path, &error))?;
+        let bytes =
+            plain_file::read(&self.path).map_err(|error| undecodable(&self.place, &self.path, &error))?;
         self.decoded(&bytes)
     }
 
@@ -203,6 +203,7 @@ fn undecodable(place: &Place, path: &Path, error: &dyn Display) -> Error {
 mod tests {
     use super::*;
     use image::{DynamicImage, ImageBuffer, Luma, LumaA, Rgb, Rgba};
+    use std::fs;
 
     fn round_trip(image: impl Into<DynamicImage>, name: &str) -> (Vec<u8>, bool) {
         let folder = tempfile::tempdir().unwrap();

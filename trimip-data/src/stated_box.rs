@@ -2,8 +2,8 @@
 //! nerfstudio), or Instant-NGP's `aabb_scale` with `scale` and `offset`. Lengths are in world units of the file's poses.
 
 use crate::{json::Node, ply, split::Split};
-use std::{fs, path::Path};
-use trimip_core::{Aabb, Error, Result, scene_plan::StatedBox};
+use std::path::Path;
+use trimip_core::{Aabb, Error, Result, plain_file, scene_plan::StatedBox};
 
 /// Defaults of `scale` and `offset`: Instant-NGP's unit cube in world units.
 const NGP: (f64, f64) = (0.33, 0.5);
@@ -14,7 +14,7 @@ pub(crate) fn read(root: &Path, file: &Node<'_>) -> Result<Split> {
     let mut facts = Split::default();
     if let Some(named) = file.text("ply_file_path")? {
         let path = root.join(named.replace('\\', "/"));
-        match fs::read(&path) {
+        match plain_file::read(&path) {
             Ok(bytes) => {
                 facts.cloud.points = ply::points(&path.display().to_string(), &bytes)?;
                 facts.stated = facts.cloud.stated(&format!("of {named}"));
@@ -76,6 +76,7 @@ fn wrong(file: &Node<'_>, key: &str, expected: &str) -> Error {
 mod tests {
     use super::*;
     use serde_json::json;
+    use std::fs;
 
     #[test]
     fn aabb_scale_is_the_cube_of_instant_ngp() {

@@ -26,7 +26,10 @@ pub struct Entry {
 impl Entry {
     /// Reads the `report.json` of the folder; null if that fails.
     fn report(&self) -> Value {
-        let text = self.folder.as_ref().and_then(|folder| std::fs::read(folder.join("report.json")).ok());
+        let text = self
+            .folder
+            .as_ref()
+            .and_then(|folder| trimip_core::plain_file::read(&folder.join("report.json")).ok());
         text.and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
     }
 }

@@ -273,7 +273,7 @@ async fn about_scene(State(state): State<Arc<ServerState>>) -> Answered {
 /// Serves the report of the model's run, in its current state.
 async fn report(State(state): State<Arc<ServerState>>) -> Answered {
     let path = state.scene.report.clone().ok_or(StatusCode::NOT_FOUND)?;
-    let read = tokio::task::spawn_blocking(move || std::fs::read_to_string(path));
+    let read = tokio::task::spawn_blocking(move || trimip_core::plain_file::read_to_string(&path));
     let page =
         read.await.map_err(|_| StatusCode::INTERNAL_SERVER_ERROR)?.map_err(|_| StatusCode::NOT_FOUND)?;
     Ok(bounded("text/html; charset=utf-8", REPORT_POLICY, page))

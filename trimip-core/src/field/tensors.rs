@@ -247,7 +247,7 @@ impl TensorFile {
     /// # Errors
     /// When the file cannot be read or is not a safetensors file of known types.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path)
+        let bytes = crate::plain_file::read(path)
             .map_err(|error| Error::input(path.display(), error, "name an existing .safetensors file"))?;
         Self::from_bytes(&path.display().to_string(), &bytes)
     }

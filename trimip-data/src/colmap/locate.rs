@@ -10,11 +10,10 @@ use crate::{
     pictures::{self, Pictures},
 };
 use std::{
-    fs,
     io::Read,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Result, text::decoded};
+use trimip_core::{Error, Result, plain_file, text::decoded};
 
 /// Folders of a model within a scene, in the order in which they are tried.
 const FOLDERS: [&str; 11] = [
@@ -117,11 +116,11 @@ pub(super) fn model(root: &Path) -> Result<Found> {
 fn images_in(folder: &Path) -> u64 {
     let head = || {
         let mut head = [0; 8];
-        fs::File::open(folder.join("images.bin")).ok()?.read_exact(&mut head).ok()?;
+        plain_file::open(&folder.join("images.bin")).ok()?.read_exact(&mut head).ok()?;
         Some(binary::stated_images(head))
     };
     let whole = || {
-        let bytes = fs::read(folder.join("images.txt")).ok()?;
+        let bytes = plain_file::read(&folder.join("images.txt")).ok()?;
         text::images(File { name: "", bytes: &bytes }).ok().map(|images| images.len() as u64)
     };
     match encoding(folder) {

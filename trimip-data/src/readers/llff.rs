@@ -13,11 +13,8 @@ use crate::{
     split::Split,
 };
 use glam::{DMat3, DVec3};
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
-use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result, plural::count};
+use std::path::{Path, PathBuf};
+use trimip_core::{Camera, Error, Intrinsics, Lens, Place, Result, plain_file, plural::count};
 
 const FILE: &str = "poses_bounds.npy";
 
@@ -115,7 +112,7 @@ impl Capture {
     fn open(root: &Path, config: &DataConfig) -> Result<Self> {
         let path = root.join(FILE);
         let name = path.display().to_string();
-        let bytes = fs::read(&path).map_err(|error| {
+        let bytes = plain_file::read(&path).map_err(|error| {
             Error::input(
                 &name,
                 format!("cannot be read: {error}"),

@@ -13,12 +13,12 @@ use glam::DMat3;
 use roxmltree::{Document, Node, ParsingOptions};
 use std::{
     collections::HashMap,
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
 use trimip_core::{
-    Error, Intrinsics, Lens, Place, Result, geometry::projections::Model, plural::count, text::decoded,
+    Error, Intrinsics, Lens, Place, Result, geometry::projections::Model, plain_file, plural::count,
+    text::decoded,
 };
 
 /// The usual name of the file.
@@ -49,7 +49,7 @@ pub(super) static READER: Reader = Reader {
 fn path(root: &Path) -> Option<PathBuf> {
     let is_export = |path: &PathBuf| {
         let mut head = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+        let read = plain_file::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
         let head = String::from_utf8_lossy(&decoded(&head)).into_owned();
         read.is_ok() && head.contains("<document") && head.contains("<chunk")
     };

@@ -14,11 +14,10 @@ use crate::{
 };
 use glam::{DMat3, DVec3};
 use std::{
-    fs::File,
     io::Read,
     path::{Path, PathBuf},
 };
-use trimip_core::{Error, Lens, Place, Result, text::decoded};
+use trimip_core::{Error, Lens, Place, Result, plain_file, text::decoded};
 
 /// The usual name of the file.
 const FILE: &str = "cameras.csv";
@@ -65,7 +64,7 @@ pub(super) static READER: Reader = Reader {
 fn paths(root: &Path) -> Vec<PathBuf> {
     let is_export = |path: &PathBuf| {
         let mut head = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+        let read = plain_file::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
         let head = String::from_utf8_lossy(&decoded(&head)).into_owned();
         read.is_ok() && head.lines().any(|line| Columns::of(line).is_some())
     };

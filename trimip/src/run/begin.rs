@@ -10,6 +10,7 @@ use trimip_core::{
         events::{Event, Totals, progress},
     },
     field::adamw,
+    plain_file,
     scene_plan::{self, Finding},
 };
 
@@ -119,7 +120,7 @@ impl Beginning {
 /// # Errors
 /// When the folder contains another run, or the settings are invalid.
 pub fn expect_same(given: &Settings, folder: &RunFolder) -> Result<()> {
-    let text = std::fs::read_to_string(folder.config());
+    let text = plain_file::read_to_string(&folder.config());
     let Some(text) = text.ok().filter(|_| folder.checkpoint().exists()) else { return Ok(()) };
     let mut settings = given.clone();
     if let Some(findings) = folder.findings()? {
@@ -134,7 +135,7 @@ pub fn expect_same(given: &Settings, folder: &RunFolder) -> Result<()> {
 /// the run counts as finished.
 fn keep_extension(settings: &mut Settings, folder: &RunFolder) -> Result<()> {
     let extended = || folder.events().iter().any(|event| matches!(event, Event::Extended { .. }));
-    let Ok(text) = std::fs::read_to_string(folder.config()) else { return Ok(()) };
+    let Ok(text) = plain_file::read_to_string(&folder.config()) else { return Ok(()) };
     if !extended() {
         return Ok(());
     }

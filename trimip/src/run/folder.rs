@@ -8,6 +8,7 @@ use trimip_core::{
     atomic::{temporaries, write_atomically},
     engine::{checkpoint::Checkpoint, events::Event},
     field::model::Model,
+    plain_file,
     scene_plan::Finding,
 };
 
@@ -92,7 +93,7 @@ impl RunFolder {
     /// # Errors
     /// When the file is not valid.
     pub fn findings(&self) -> Result<Option<Vec<Finding>>> {
-        let Ok(bytes) = std::fs::read(self.plan()) else { return Ok(None) };
+        let Ok(bytes) = plain_file::read(&self.plan()) else { return Ok(None) };
         serde_json::from_slice(&bytes)
             .map(Some)
             .map_err(|error| Error::input(self.plan().display(), error, Advice::StartOver))
@@ -274,7 +275,7 @@ impl RunFolder {
 
     /// Reads the events written so far. Skips a line that a killed run left incomplete.
     pub fn events(&self) -> Vec<Event> {
-        events_of(&std::fs::read(self.metrics()).unwrap_or_default())
+        events_of(&plain_file::read(&self.metrics()).unwrap_or_default())
     }
 
     /// Replaces the events with `events` and opens the file for appending.

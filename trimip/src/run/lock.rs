@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use trimip_core::{
     Advice, Error, Result,
     engine::{checkpoint::FORMAT, events::Event},
+    plain_file,
 };
 
 /// Number of leading bytes of a checkpoint that are searched for its format.
@@ -140,14 +141,14 @@ fn is_at(_file: &File, _path: &Path) -> bool {
 
 /// Returns true if some line is an event of a run.
 fn has_event(path: &Path) -> bool {
-    let bytes = std::fs::read(path).unwrap_or_default();
+    let bytes = plain_file::read(path).unwrap_or_default();
     String::from_utf8_lossy(&bytes).lines().any(|line| serde_json::from_str::<Event>(line).is_ok())
 }
 
 /// Returns true if the beginning of the file is that of a checkpoint, whether the file is complete or not.
 fn is_checkpoint(path: &Path) -> bool {
     let mut head = Vec::new();
-    let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
+    let read = plain_file::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
     read.is_ok() && head.windows(FORMAT.len()).any(|part| part == FORMAT.as_bytes())
 }
 

@@ -4,7 +4,9 @@ use super::{folder::RunFolder, history::History, train::Trained};
 use crate::report::{Report, Status};
 use serde_json::Value;
 use std::path::Path;
-use trimip_core::{Config, Error, Origin, Result, SettingValue, Settings, measures::quality::mean_quality};
+use trimip_core::{
+    Config, Error, Origin, Result, SettingValue, Settings, measures::quality::mean_quality, plain_file,
+};
 
 /// A run: its folder, its settings and what happened in it.
 #[derive(Clone, Debug)]
@@ -90,7 +92,7 @@ fn is_same(a: &Value, b: &Value) -> bool {
 /// Sets the origins of settings from the report of their run, where the report has the same values. Without a report
 /// the origins are unchanged.
 fn restore_origins(settings: &mut Settings, folder: &RunFolder) {
-    let text = std::fs::read_to_string(folder.json()).unwrap_or_default();
+    let text = plain_file::read_to_string(&folder.json()).unwrap_or_default();
     let report: Value = serde_json::from_str(&text).unwrap_or_default();
     let stated = |path: &str, value: &SettingValue| -> Option<Origin> {
         let stated = report["settings"].get(path)?;

@@ -12,6 +12,7 @@ use trimip_core::{
     atomic::write_atomically,
     engine::checkpoint::Checkpoint,
     field::model::Model,
+    plain_file,
     run::{Store, evaluate::ViewResult},
     scene::origin::LocalOrigin,
 };
@@ -162,7 +163,7 @@ impl<'a> FileStore<'a> {
     }
 
     fn recorded(folder: &RunFolder) -> Option<Vec<ViewRecord>> {
-        serde_json::from_slice(&std::fs::read(folder.views()).ok()?).ok()
+        serde_json::from_slice(&plain_file::read(&folder.views()).ok()?).ok()
     }
 }
 

@@ -143,7 +143,7 @@ pub fn expect_no_others(
     format: PictureFormat,
 ) -> Result<()> {
     let own = folder.join(CAMERAS);
-    let text = std::fs::read_to_string(&own).unwrap_or_default();
+    let text = trimip_core::plain_file::read_to_string(&own).unwrap_or_default();
     let document: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     if document["written_by"] == WRITER {
         return Ok(());

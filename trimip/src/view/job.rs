@@ -1,10 +1,10 @@
 //! Keeps track of the finished views in a folder, so that a large set of views can be rendered in several sessions.
 
 use super::{Named, PictureFormat, Quantity, files::paths};
+use std::collections::BTreeSet;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::{collections::BTreeSet, fs};
 use trimip_core::{Advice, Error, Result, atomic::write_atomically, field::model::Model, scene::fingerprint};
 
 /// File of a folder that lists its finished views: the first line names the job, each other line a view.
@@ -39,7 +39,7 @@ impl RenderJob {
         let path = folder.join(LIST);
         let failed = |error| Error::run(format!("{}: {error}", path.display()));
         let head = format!("{HEAD}{:016x}\n", identity(model, cameras, what, format)?);
-        let text = match fs::read_to_string(&path) {
+        let text = match trimip_core::plain_file::read_to_string(&path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
             Err(error) => return Err(failed(error)),
@@ -106,6 +106,7 @@ fn identity(model: &Model, cameras: &[Named], what: &[Quantity], format: Picture
 mod tests {
     use super::*;
     use glam::DVec3;
+    use std::fs;
     use trimip_core::{Camera, Config, Intrinsics, field::tensors::TensorFile};
 
     fn model(seed: u64) -> Model {

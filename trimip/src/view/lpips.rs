@@ -31,7 +31,8 @@ impl Lpips {
                 "make the file with tools/lpips_onnx.py, or set eval.lpips=\"\" to do without LPIPS",
             )
         };
-        let bytes = std::fs::read(path).map_err(|error| refuse(format!("cannot read: {error}")))?;
+        let bytes =
+            trimip_core::plain_file::read(path).map_err(|error| refuse(format!("cannot read: {error}")))?;
         let model = Model::load(bytes).map_err(|error| refuse(format!("is no ONNX network: {error}")))?;
         let (inputs, outputs) = (model.input_ids().len(), model.output_ids().len());
         if (inputs, outputs) != (2, 1) {

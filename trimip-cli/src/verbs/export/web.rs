@@ -44,7 +44,7 @@ pub fn export(arguments: &WebArguments) -> Result<u8> {
     let mut program = Vec::new();
     for name in PROGRAM {
         let path = arguments.viewer.join(name);
-        let bytes = std::fs::read(&path).map_err(|error| {
+        let bytes = trimip_core::plain_file::read(&path).map_err(|error| {
             let advice = "build the page's program with tools/web.sh, or name its folder with --viewer";
             Error::input(path.display(), error, advice)
         })?;
