@@ -1,8 +1,14 @@
 //! The types, mathematics, traits and training loop of Tri-MipRF (Hu et al., ICCV 2023), independent of any device.
 //!
-//! Data flows from stage to stage: images and cameras → cones → spheres along the cone → features → density and colour
-//! → composited pixels → loss. Gradients flow back. A program renders through [`Viewer`] and trains through
-//! [`Session`], which [`run::Run`] drives.
+//! ```text
+//! photographs + cameras → cones → samples along each cone → features → density, colour → cones → pixels → loss
+//! ViewSet                 Rays    Samples                   rows       Radiance          Pixel   Pixel    StepSums
+//!                                                                                                          │
+//! Model ← parameters ← AdamW ← [exchange] ← gradients of the slots ← the same way back ←───────────────────┘
+//! ```
+//!
+//! Start with [`Config`] and [`ViewSet`], which every run needs. A program renders through [`Viewer`] and trains through
+//! [`Session`], which [`run::Run`] drives. [`engine::backend`] has the traits of the stages in the picture above.
 //!
 //! ```
 //! use glam::DVec3;

@@ -1,6 +1,19 @@
 //! The stages of Tri-MipRF on the CPU: rayon over tiles of rays, SIMD chosen at run time, bit-identical results for
 //! any number of threads.
 //!
+//! ```text
+//! each tile of rays, on any thread:
+//! sampler → march   → encoder  → field    → renderer → loss
+//! Rays      Samples   features   Radiance   Pixel       │
+//! partial gradients ← encoder ← field ← renderer ←──────┘
+//!
+//! each step, in a fixed order:
+//! partial gradients of all tiles → reduction_tree ↔ data_parallel (other ranks) → optimizer → parameters
+//! ```
+//!
+//! Start with [`open`], which trains, and [`load`], which renders. [`CpuBackend`] is the device for a program that calls the
+//! stages itself, and [`DataParallel`] joins the processes that train one model.
+//!
 //! ```
 //! use trimip_core::Config;
 //! use trimip_data::settings::DataConfig;

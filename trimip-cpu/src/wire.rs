@@ -5,12 +5,12 @@ use crate::buffer::Buffer;
 use bytemuck::Pod;
 use trimip_core::{Error, Result, engine::exchange};
 
-/// Appends values.
+/// Appends the bytes of `values` to the message `out`, without their number.
 pub fn put<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
     out.extend_from_slice(bytemuck::cast_slice(values));
 }
 
-/// Appends the number of values, then the values.
+/// Appends the number of values, then the values, to the message `out`.
 pub fn put_counted<T: Pod>(out: &mut Vec<u8>, values: &[T]) {
     put(out, &[values.len() as u64]);
     put(out, values);
@@ -43,7 +43,7 @@ impl<'a> Reader<'a> {
         self.bytes(size_of::<T>()).map(bytemuck::pod_read_unaligned)
     }
 
-    /// Overwrites `to` with the next values.
+    /// Overwrites `to` with the next values, as many as `to` has.
     ///
     /// # Errors
     /// When the message has fewer values; `to` is then unchanged.

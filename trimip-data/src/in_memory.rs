@@ -18,7 +18,8 @@ pub fn camera_files() -> impl Iterator<Item = &'static CameraFile> {
     READERS.iter().flat_map(|reader| reader.camera_files)
 }
 
-/// Returns the short names and cameras of all frames of a transforms file. Photographs without a stated size have `size`.
+/// Returns the short names and cameras of all frames of a transforms file, in the order of the file. Photographs without
+/// a stated size have `size`: width and height in pixels.
 ///
 /// # Errors
 /// Invalid syntax, and values that are missing or out of range.
@@ -34,7 +35,8 @@ pub fn metadata(name: &str, bytes: &[u8]) -> Result<Vec<(String, Camera)>> {
     multiscale::cameras(Path::new(name), bytes)
 }
 
-/// Returns the vertices of a PLY file, ASCII or binary. Vertices whose position is not finite are left out.
+/// Returns the vertices of a PLY file, ASCII or binary, in the order of the file. Vertices whose position is not finite
+/// are left out.
 ///
 /// # Errors
 /// A header without vertices or format, and numbers that are missing or malformed.
@@ -42,7 +44,8 @@ pub fn ply(name: &str, bytes: &[u8]) -> Result<Vec<Point>> {
     ply::points(name, bytes)
 }
 
-/// Returns width, height and RGBA pixels of a photograph: PNG, JPEG, WebP, TIFF or BMP.
+/// Returns width, height and RGBA pixels of a photograph: PNG, JPEG, WebP, TIFF or BMP. The pixels are bytes, [height,
+/// width, 4], row by row.
 ///
 /// # Errors
 /// If it cannot be decoded to its end, or has no pixels or more than 2^28.
@@ -52,6 +55,7 @@ pub fn photograph(name: &str, bytes: &[u8]) -> Result<(u32, u32, Vec<u8>)> {
 }
 
 /// Returns width, height and the kept share of each pixel of a mask, in the formats of [`photograph`]. White is kept.
+/// The shares are bytes, row by row.
 ///
 /// # Errors
 /// As [`photograph`].

@@ -3,6 +3,17 @@
 //! public multi-scale set's `metadata.json`, and a built-in ray-traced scene that needs no files. Poses are
 //! camera-to-world with OpenGL axes. Lengths are in world units, angles in radians, focal lengths in pixels.
 //!
+//! ```text
+//! folder → frames  → masks, points, origin → decoded pixels → scales 1, 1/2, 1/4, ... → training views
+//! layout   readers   survey                  source           pyramid                   ViewSet
+//!                    │
+//!                    └→ one frame at a time, on request ──────────────────────────────→ test frames
+//!                                                                                       Frames
+//! ```
+//!
+//! Start with [`open`], which returns the [`Scene`] that a [`DataConfig`] names: its training views, test frames and points.
+//! [`inspect()`] describes and checks a scene without training, and [`in_memory`] reads single files from bytes.
+//!
 //! ```
 //! use trimip_core::Frames;
 //! use trimip_data::settings::DataConfig;

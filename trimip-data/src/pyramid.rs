@@ -4,8 +4,9 @@
 
 use trimip_core::{Alpha, config::Convention};
 
-/// Builds `scales` levels of an image of `width` × `height` pixels, stored as `convention` says: straight RGBA
-/// truncated to 8 bits, or premultiplied RGBA rounded to 8 bits. A level without pixels is empty.
+/// Builds `scales` levels, fine to coarse, of an image of `width` × `height` pixels, stored as `convention` says: straight
+/// RGBA truncated to 8 bits, or premultiplied RGBA rounded to 8 bits. Pixels lie row by row; level j has `height >> j` rows
+/// of `width >> j` pixels. A level without pixels is empty.
 pub fn build(
     base: &[[u8; 4]],
     width: usize,

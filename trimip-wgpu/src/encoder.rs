@@ -50,7 +50,8 @@ macro_rules! encoders {
         enum Any { $($name($encoding)),* }
 
         impl WgpuEncoder {
-            /// Creates the encoder of a configuration; `skipped` counts the gradient terms that are left out.
+            /// Creates the encoder of a configuration; `skipped`, one number, counts the gradient terms that are left
+            /// out.
             pub fn new(
                 gpu: &Arc<Gpu>,
                 config: &Config,

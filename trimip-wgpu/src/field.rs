@@ -146,7 +146,7 @@ pub struct Context {
 }
 
 impl Context {
-    /// Returns the outputs of the density network.
+    /// Returns the outputs of the density network, [samples, [`outputs`](WgpuField::outputs)].
     pub fn outputs(&self) -> &Buffer<f32> {
         &self.density[self.density.len() - 1]
     }
@@ -222,7 +222,7 @@ impl WgpuField {
         stream.keep(kept, radiance, 4);
     }
 
-    /// Returns the counter of factors that f16 cannot hold.
+    /// Returns the counter of factors that f16 cannot hold, one number.
     pub fn overflows(&self) -> &Buffer<u32> {
         &self.overflows
     }

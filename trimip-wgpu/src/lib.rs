@@ -2,6 +2,33 @@
 //! is a file with its kernels. The WGSL in `shaders/` mirrors `trimip-core`'s mathematics under the same names. Structs
 //! and constants in WGSL are generated from Rust. A training step is one submission. No parameters are transferred, and
 //! the sums of a step are read while later steps run.
+//!
+//! ```text
+//! recorded by the host, executed on the device:
+//! sampler → renderer (march) → encoder  → field (mlp) → renderer (composite) → loss → sums → host
+//! Rays      Samples            features   Radiance      Pixel                   │            2 steps later
+//! parameters ← optimizer ← gradients of the slots ← encoder ← field ← renderer ←┘
+//! ```
+//!
+//! Start with [`open`], which trains, and [`load`], which renders. [`adapters`] lists the adapters of this machine, and
+//! [`WgpuConfig`] selects one. [`WgpuBackend`] is the device for a program that calls the stages itself.
+//!
+//! ```no_run
+//! use trimip_core::{Config, ViewSet};
+//!
+//! fn train(views: ViewSet) -> trimip_core::Result<()> {
+//!     let camera = views.views[0].camera;
+//!     let mut session = trimip_wgpu::open(&Config::default(), views, 0)?;
+//!     for step in 0..1000 {
+//!         session.step(f64::from(step) / 1000.0)?;
+//!     }
+//!     let model = session.finish()?;
+//!     // An empty name selects the best adapter.
+//!     let frame = trimip_wgpu::load(&model, "", 0)?.render(&camera)?;
+//!     println!("{} pixels", frame.pixels.len());
+//!     Ok(())
+//! }
+//! ```
 
 #![deny(unsafe_code)]
 

@@ -239,10 +239,11 @@ pub struct Mlp {
     kernels: Arc<Kernels>,
 }
 
-/// Activations of a network: hidden layers after their ReLU, then the output.
+/// Activations of a network, each [rows, width] with padded widths: hidden layers after their ReLU, then the output.
 pub type Activations = Vec<Buffer<f32>>;
 
-/// Chunks of the gradients of a network's parts, layer by layer.
+/// Chunks of the gradients of a network's parts, layer by layer: [[`CHUNKS`], inputs, outputs] for each part, with
+/// padded widths.
 pub type Partials = Vec<Vec<Buffer<f32>>>;
 
 /// The arrays of a backward pass.
@@ -258,7 +259,8 @@ pub struct Flow<'a> {
 }
 
 impl Mlp {
-    /// Creates the network `shape`; `layout` determines where its parameters lie.
+    /// Creates the network `shape`; `layout` determines where its parameters lie. `overflows`, one number, counts the
+    /// factors that f16 cannot hold.
     pub fn new(
         gpu: &Arc<Gpu>,
         shape: &Network,
@@ -304,12 +306,13 @@ impl Mlp {
         self.widths().map(|_| Buffer::zeros(gpu, 0)).collect()
     }
 
-    /// Packs the weights for products.
+    /// Packs the weights for products. `parameters` is flat, in the order of the layout.
     pub fn pack(&self, gpu: &Gpu, parameters: &Buffer<f32>) {
         self.layers.iter().flat_map(Layer::parts).for_each(|part| part.pack(gpu, parameters));
     }
 
-    /// Adds up the chunks of gradients and writes the sums to the gradient of the parameters.
+    /// Adds up the chunks of gradients and writes the sums to the gradient of the parameters, which is flat, in the
+    /// order of the layout.
     pub fn reduce(&self, gpu: &Gpu, partials: &Partials, parameter_gradient: &Buffer<f32>) {
         for (layer, partials) in self.layers.iter().zip(partials) {
             for (part, partial) in layer.parts().zip(partials) {
@@ -324,7 +327,7 @@ impl Mlp {
         self.layers.iter().map(|layer| layer.parts().map(chunks).collect()).collect()
     }
 
-    /// Runs rows through the network.
+    /// Runs rows through the network. `first` is its input, [rows, inputs] with a padded width.
     pub fn forward(&self, gpu: &Gpu, rows: &Rows, first: &Buffer<f32>, activations: &mut Activations) {
         if self.layers.is_empty() {
             // Features and outputs have the same width.
@@ -360,6 +363,11 @@ impl Mlp {
     }
 
     /// Computes the gradients of the input and of the weights from the gradient of the output.
+    ///
+    /// Shapes, with padded widths:
+    /// - `first`: [rows, inputs], the input of [`forward`](Self::forward)
+    /// - `activations`: [rows, outputs] of each layer, from [`forward`](Self::forward)
+    /// - `flow`: `by_output` is [rows, outputs], and `by_input` becomes [rows, inputs]
     pub fn backward(
         &self,
         gpu: &Gpu,

@@ -158,12 +158,12 @@ impl WgpuOccupancy {
         self.params.space.resolution
     }
 
-    /// Returns the bits, for ray marching.
+    /// Returns the bits, for ray marching: two words per block of cells, then two words per block of blocks.
     pub fn grid(&self) -> &Buffer<u32> {
         &self.grid
     }
 
-    /// Returns the counters.
+    /// Returns the counters: selected cells, occupied cells, and cells that a tile queries.
     pub fn state(&self) -> &Buffer<u32> {
         &self.state
     }

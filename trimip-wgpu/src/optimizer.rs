@@ -54,8 +54,8 @@ pub struct WgpuOptimizer {
 }
 
 impl WgpuOptimizer {
-    /// Creates an optimiser with zero moments; the buffers are minimal unless `training`. `skipped` counts the
-    /// gradients, and terms of gradients, that are left out because of their size.
+    /// Creates an optimiser with zero moments; the buffers are minimal unless `training`. `skipped`, one number, counts
+    /// the gradients, and terms of gradients, that are left out because of their size.
     pub fn new(
         gpu: &Arc<Gpu>,
         config: &Config,

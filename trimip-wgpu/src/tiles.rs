@@ -23,8 +23,9 @@ impl Tiles {
             .then(|| self.start..self.start + self.chunk.clamp(1, self.count - self.start))
     }
 
-    /// Returns true if the samples of a tile fit. `counts` are the tile's counts of samples; `None` if its rays were
-    /// not marched.
+    /// Returns true if the samples of a tile fit, or if the tile is a single ray; [`next`](Self::next) then goes on
+    /// after it. `counts` are the tile's counts of samples, `None` if its rays were not marched: the first pair has the
+    /// marched and the kept samples, the second those of each that were dropped.
     pub fn fits(&mut self, tile: &Range<u32>, counts: Option<Vec<[u32; 2]>>) -> bool {
         let length = tile.end - tile.start;
         if let Some(counts) = counts {

@@ -1,5 +1,13 @@
 //! Tri-MipRF (Hu et al., ICCV 2023) as a library: anti-aliased radiance fields from photographs, on the CPU or a GPU.
 //!
+//! ```text
+//! settings ─────────────────────────┐
+//! photographs → data::open → Scene ─┴→ Training → run folder → Model → Viewer → Frame → PNG, EXR
+//!                                                                      └→ mesh::extract → Mesh → PLY, OBJ, GLB
+//! ```
+//!
+//! Start with [`settings::defaults`], [`Training`] and [`Viewer`]:
+//!
 //! - settings: [`settings::defaults`] are the documented defaults, [`Settings`] holds values that override them, [`Config`] is
 //!   their typed form;
 //! - data: [`data::open`] reads a folder of photographs or generates the built-in scene;

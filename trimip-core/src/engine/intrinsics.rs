@@ -179,7 +179,8 @@ impl SharedIntrinsics {
         }
     }
 
-    /// Returns the gradient of a step's mean loss with respect to the changes of all cameras.
+    /// Returns the gradient of a step's mean loss with respect to the changes of all cameras: one element per camera, in
+    /// the order of [`refined`](Self::refined).
     pub fn by_changes(&self, step: &StepResult) -> Vec<Change> {
         let mut sums = vec![[0.0; 4]; self.cameras.len()];
         if step.sums.weight > 0.0 {
@@ -215,6 +216,9 @@ impl SharedIntrinsics {
 
     /// Reads the state from a checkpoint of a run with the same number of cameras; `name` names the checkpoint in
     /// errors.
+    ///
+    /// # Errors
+    /// When a tensor is missing, or has another type or shape.
     pub fn restored(&self, file: &TensorFile, name: &str) -> Result<Self> {
         Ok(Self { corrections: self.corrections.restored(PREFIX, file, name)?, ..self.clone() })
     }

@@ -49,8 +49,8 @@ impl<const N: usize> Lagged<N> {
         Some((steps.saturating_sub((self.arrived.len() + in_transit) as u64).max(1), gradient))
     }
 
-    /// Updates the parameters with the gradient of step `step` (Adam, without weight decay). Skips gradients whose
-    /// square is not finite.
+    /// Updates the parameters with the gradient of step `step`, one row per photograph (Adam, without weight decay).
+    /// Skips gradients whose square is not finite.
     pub fn apply(&mut self, config: &OptimizerConfig, rate: f64, step: u64, gradient: &[[f32; N]]) {
         let rule = Rule { shrink: 1.0, ..Rule::<f32>::new(config, rate, step) };
         let moments = self.m.as_flattened_mut().iter_mut().zip(self.v.as_flattened_mut());
@@ -77,6 +77,9 @@ impl<const N: usize> Lagged<N> {
 
     /// Reads the state from a checkpoint of a run on the same number of photographs; `name` names the checkpoint in
     /// errors.
+    ///
+    /// # Errors
+    /// When a tensor is missing, or has another type or shape.
     pub fn restored(&self, prefix: &str, file: &TensorFile, name: &str) -> Result<Self> {
         let shape = [self.values.len(), N];
         let of =

@@ -96,12 +96,12 @@ impl<B: Backend> LoadedModel<B> {
         &self.layout
     }
 
-    /// Returns all parameters, flat.
+    /// Returns all parameters as one flat array in the order of the [`layout`](Self::layout), padding included.
     pub fn parameters(&self) -> Vec<f32> {
         self.backend.read(&self.parameters)
     }
 
-    /// Replaces all parameters.
+    /// Replaces all parameters with `values`, in the form of [`parameters`](Self::parameters).
     pub fn set_parameters(&mut self, values: &[f32]) {
         self.backend.write(&mut self.parameters, values);
         self.refresh();

@@ -170,7 +170,7 @@ impl Poses {
         config.camera_rate * schedule * (std::f64::consts::FRAC_PI_2 * risen).sin()
     }
 
-    /// Returns the current cameras of all views, relative to the centre of the box.
+    /// Returns the current cameras of all views of the training set, in their order, relative to the centre of the box.
     pub fn cameras(&self) -> Vec<Camera> {
         let motions: Vec<Motion> = (0..self.given.len()).map(|i| self.motion(i)).collect();
         let changed = self.intrinsics.changed();
@@ -194,7 +194,7 @@ impl Poses {
         }
     }
 
-    /// Replaces the motions of all photographs' cameras.
+    /// Replaces the motions of the photographs' cameras: one per photograph, in the order of [`photographs`].
     pub fn set(&mut self, motions: &[Motion]) {
         for ((value, given), motion) in self.corrections.values.iter_mut().zip(&self.given).zip(motions) {
             *value = given.preconditioner.parameters(*motion).map(|value| value as f32);
@@ -223,13 +223,15 @@ impl Poses {
         }
     }
 
-    /// Returns the gradient of a step's mean loss with respect to the motions of all cameras.
+    /// Returns the gradient of a step's mean loss with respect to the motions of the photographs' cameras: one element
+    /// per photograph, in the order of [`photographs`].
     pub fn by_motions(&self, step: &StepResult) -> Vec<Motion> {
         let by_world = self.by_world(step).into_iter().enumerate();
         by_world.map(|(i, by)| self.given[i].by_motion(&self.motion(i), by)).collect()
     }
 
-    /// Returns the gradient of a step's mean loss with respect to the changes of each camera's intrinsics.
+    /// Returns the gradient of a step's mean loss with respect to the changes of each camera's intrinsics, in the order
+    /// of [`Refined::intrinsics`].
     pub fn by_intrinsics(&self, step: &StepResult) -> Vec<Change> {
         self.intrinsics.by_changes(step)
     }

@@ -84,7 +84,7 @@ impl ScaleWeights {
         self.weights[scale]
     }
 
-    /// Returns the loss weights, fine to coarse.
+    /// Returns the loss weight of a pixel of each scale, fine to coarse.
     pub fn weights(&self) -> &[f32] {
         &self.weights
     }

@@ -42,7 +42,9 @@ pub struct Stages<B: Backend> {
 }
 
 impl<B: Backend> Stages<B> {
-    /// Encodes the samples of a workspace and evaluates their density. `parameters` is flat.
+    /// Encodes the samples of a workspace and evaluates their density. `parameters` is flat, in the order of the
+    /// [`Layout`](crate::Layout). The workspace's `features` become [samples, stride], and its `radiance` gets one
+    /// density per sample.
     pub fn density(&self, parameters: &B::Buffer<f32>, workspace: &mut Workspace<B>) {
         let Workspace { stream, rays, samples, encoder_context, features, field_context, radiance, .. } =
             workspace;
@@ -52,7 +54,8 @@ impl<B: Backend> Stages<B> {
     }
 
     /// Sums the partial gradients into one gradient of all parameters, not yet divided by the sum of the weights, and
-    /// empties the partial gradients. `parameters` and `gradient` are flat.
+    /// empties the partial gradients. `partials` are all sets of the step; `parameters` and `gradient` are flat, in the
+    /// order of the [`Layout`](crate::Layout).
     pub fn reduce(
         &mut self,
         partials: &mut [PartialGradients<B>],

@@ -66,7 +66,8 @@ pub struct StepResult {
 }
 
 impl StepResult {
-    /// Returns all numbers as bits, to be sent to another process.
+    /// Returns all numbers as bits, to be sent to another process: the eight sums, the number of exposures, three words
+    /// per exposure and twelve per camera.
     pub fn to_words(&self) -> Vec<u64> {
         let StepSums { loss, weight, squared_error, rays, marched, kept, drawn, non_finite } = self.sums;
         let sums = [loss, weight, squared_error].map(f64::to_bits).into_iter();

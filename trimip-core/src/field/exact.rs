@@ -167,7 +167,7 @@ impl Exact {
         [0, 1, 2].map(|c| self.color_activation.value(logits[c]))
     }
 
-    /// Returns the features of a sample.
+    /// Returns the features of a sample, [`width`](crate::field::encoders::Definition::width) numbers.
     pub fn features(&self, at: &SamplePosition) -> Vec<f64> {
         self.encoder.features(at)
     }

@@ -73,12 +73,12 @@ impl Layout {
         self.slots.last().map_or(0, |slot| slot.padded().end)
     }
 
-    /// Returns the encoder's slots.
+    /// Returns the encoder's slots, in the order of the flat array.
     pub fn encoder(&self) -> &[Slot] {
         &self.slots[..self.encoder]
     }
 
-    /// Returns the slots of both networks.
+    /// Returns the slots of both networks, in the order of the flat array: density, then colour.
     pub fn networks(&self) -> &[Slot] {
         &self.slots[self.encoder..]
     }
@@ -95,8 +95,8 @@ impl Layout {
         self.slots.iter().filter(move |slot| slot.name.starts_with(&prefix))
     }
 
-    /// Returns the initial values, uniform within each slot's bound, or normal. With `field.direction_delay` the
-    /// weights of the view direction are 0.
+    /// Returns the initial values of the flat array, uniform within each slot's bound, or normal; the padding is zero.
+    /// With `field.direction_delay` the weights of the view direction are 0.
     pub fn initial(&self, config: &Config) -> Vec<f32> {
         let random = Random::new(config.seed);
         let mut values = vec![0.0; self.len()];
@@ -123,7 +123,7 @@ impl Layout {
         Some(slot.range.start..slot.range.start + count)
     }
 
-    /// Splits flat values into named tensors; `suffix` is appended to each name.
+    /// Splits the flat array `values` into one tensor per slot; `suffix` is appended to each name.
     pub fn to_tensors(&self, values: &[f32], suffix: &str, file: &mut TensorFile) {
         for slot in &self.slots {
             let tensor = Tensor::f32(&slot.shape, values[slot.range.clone()].to_vec());
@@ -131,10 +131,11 @@ impl Layout {
         }
     }
 
-    /// Joins named tensors into flat values.
+    /// Joins the tensors of all slots into one flat array, with zeros in the padding: the inverse of
+    /// [`to_tensors`](Self::to_tensors). `name` names the file in errors.
     ///
     /// # Errors
-    /// When a tensor is missing or has the wrong shape; the error names it.
+    /// When a tensor is missing, or has another type or shape; the error names it.
     pub fn from_tensors(&self, file: &TensorFile, name: &str, suffix: &str) -> Result<Vec<f32>> {
         self.expect(file, name, suffix)?;
         let mut values = vec![0.0; self.len()];

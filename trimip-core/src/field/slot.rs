@@ -33,7 +33,8 @@ pub struct Slot {
 }
 
 impl Slot {
-    /// Creates a dense slot that has the learning rate and decay of the networks, is stored as f32 and does not grow.
+    /// Creates a dense slot of the given shape, last axis contiguous, whose range begins at 0. It has the learning rate
+    /// and decay of the networks, is stored as f32 and does not grow.
     pub fn new(name: impl Into<String>, shape: Vec<usize>, bound: f32) -> Self {
         let range = 0..shape.iter().product::<usize>();
         Self {

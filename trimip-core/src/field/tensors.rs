@@ -39,13 +39,13 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// Creates a tensor of floats.
+    /// Creates a tensor of floats. The number of `values` is the product of `shape`; the last axis is contiguous.
     pub fn f32(shape: &[usize], values: Vec<f32>) -> Self {
         debug_assert_eq!(shape.iter().product::<usize>(), values.len());
         Self { shape: shape.to_vec(), values: Values::F32(values) }
     }
 
-    /// Creates a tensor of bytes.
+    /// Creates a tensor of bytes. The number of `values` is the product of `shape`; the last axis is contiguous.
     pub fn u8(shape: &[usize], values: Vec<u8>) -> Self {
         debug_assert_eq!(shape.iter().product::<usize>(), values.len());
         Self { shape: shape.to_vec(), values: Values::U8(values) }
@@ -107,7 +107,8 @@ pub struct TensorFile {
 }
 
 impl TensorFile {
-    /// Returns the tensor `name` as floats of the given shape. Errors name the tensor and its file, `file`.
+    /// Returns the tensor `name` as floats of the given shape, last axis contiguous. Errors name the tensor and its
+    /// file, `file`.
     ///
     /// # Errors
     /// When there is no such tensor, or it has another type or shape.
@@ -118,7 +119,7 @@ impl TensorFile {
         }
     }
 
-    /// Returns the tensor `name` as bytes of the given shape.
+    /// Returns the tensor `name` as bytes of the given shape, last axis contiguous.
     ///
     /// # Errors
     /// When there is no such tensor, or it has another type or shape.

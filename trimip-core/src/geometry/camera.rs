@@ -66,7 +66,8 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Returns all numbers of the camera. Two cameras are equal if and only if these numbers are equal.
+    /// Returns all numbers of the camera: width, height, fx, fy, cx, cy, the camera model, the coefficients of the lens,
+    /// the rotation column by column, and the origin. Two cameras are equal if and only if these numbers are equal.
     pub fn numbers(&self) -> Vec<f64> {
         let Intrinsics { width, height, fx, fy, cx, cy, lens } = self.intrinsics;
         let plain = [width.into(), height.into(), fx, fy, cx, cy, f64::from(lens.model as u8)];

@@ -75,7 +75,7 @@ pub fn decayed(old: f32, new: f32, decay: f32) -> f32 {
     (decay * old).max(new)
 }
 
-/// Returns the mean of the densities of all cells that are not [`OUTSIDE`].
+/// Returns the mean of `densities`, one per cell, over all cells that are not [`OUTSIDE`].
 pub fn mean(densities: &[f32]) -> f64 {
     let inside = || densities.iter().filter(|density| **density >= 0.0);
     inside().map(|&density| f64::from(density)).sum::<f64>() / inside().count().max(1) as f64
@@ -91,7 +91,7 @@ pub fn threshold(mean: f64, config: &OccupancyConfig) -> f32 {
 pub const OUTSIDE: f32 = -1.0;
 
 /// Returns the bits of a grid of half the `resolution`, which must be even. A coarse cell is occupied if any of its eight
-/// children is.
+/// children is. Both sets have one bit per cell, in the order of the cells' numbers and in the form of [`bits`].
 pub fn coarsened(bits: &[u8], resolution: u32) -> Vec<u8> {
     let half = resolution / 2;
     let mut coarse = vec![0; (half as usize).pow(3).div_ceil(8)];

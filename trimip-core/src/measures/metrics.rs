@@ -8,12 +8,13 @@ pub use ms_ssim::{LEAST_SIDE, ms_ssim};
 pub use ssim::ssim;
 
 /// Returns −10·log10 of the mean squared error over pixels and channels, in dB; infinite for equal images. Values are
-/// clipped to [0, 1], not rounded.
+/// clipped to [0, 1], not rounded. The images have one RGB value per pixel, in the same order.
 pub fn psnr(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     psnr_of_error(mean_squared_error(image, target))
 }
 
-/// Returns the PSNR of colours rounded to 8 bits, as in a picture file.
+/// Returns the PSNR in dB, as [`psnr`] does, of `image` rounded to 8 bits, as in a picture file. `target` is not
+/// rounded.
 pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     let rounded: Vec<[f32; 3]> =
         image.iter().map(|rgb| rgb.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() / 255.0)).collect();
@@ -21,7 +22,7 @@ pub fn psnr_8bit(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
 }
 
 /// Returns the PSNR, in dB, of the best constant image for `target`, its mean colour: the level of a model that learned
-/// nothing else.
+/// nothing else. `target` has one RGB value per pixel.
 pub fn psnr_of_constant(target: &[[f32; 3]]) -> f64 {
     let count = target.len().max(1) as f64;
     let values = |c: usize| target.iter().map(move |rgb| f64::from(rgb[c].clamp(0.0, 1.0)));
@@ -37,7 +38,8 @@ pub fn psnr_of_error(mean_squared_error: f64) -> f64 {
     -10.0 * mean_squared_error.log10()
 }
 
-/// Returns the mean over pixels and channels of the squared difference of clipped values.
+/// Returns the mean over pixels and channels of the squared difference of values clipped to [0, 1]. The images are as in
+/// [`psnr`].
 pub fn mean_squared_error(image: &[[f32; 3]], target: &[[f32; 3]]) -> f64 {
     assert_eq!(image.len(), target.len(), "images of one size");
     let sum: f64 = image

@@ -240,7 +240,7 @@ pub fn per_scale(qualities: &[ViewQuality], stride: usize) -> Vec<ScaleQuality> 
         .collect()
 }
 
-/// Returns the means over the scales, with equal weights: the headline figures.
+/// Returns the means over `scales`, one element per scale, with equal weights: the headline figures.
 pub fn mean_quality(scales: &[ScaleQuality]) -> Measures {
     Measures::mean(&scales.iter().map(|scale| scale.measures).collect::<Vec<_>>())
 }

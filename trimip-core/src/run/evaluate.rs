@@ -83,7 +83,7 @@ pub struct TestFrames<'a> {
 }
 
 /// Renders every `stride`-th frame at every scale, with the background and the convention of `data`; `on_view` receives
-/// each result and returns false to stop early.
+/// each result and returns false to stop early. Returns one element per view: frame by frame, fine to coarse.
 ///
 /// # Errors
 /// As [`evaluate_frame`].
@@ -104,10 +104,10 @@ pub fn evaluate(
     Ok(qualities)
 }
 
-/// Renders frame `index` at the scale `test.finest` and all coarser scales, and adds the measures to `qualities`. The
-/// comparison leaves out pixels for which the lens has no ray and pixels of which a mask keeps less than half; a view
-/// in which all pixels are left out is skipped. Returns false if `watch` stopped the evaluation; a view whose rendering
-/// was stopped is not included.
+/// Renders frame `index` at the scale `test.finest` and all coarser scales, and appends the measures of each view, fine
+/// to coarse, to `qualities`. The comparison leaves out pixels for which the lens has no ray and pixels of which a mask
+/// keeps less than half; a view in which all pixels are left out is skipped. Returns false if `watch` stopped the
+/// evaluation; a view whose rendering was stopped is not included.
 ///
 /// # Errors
 /// When a photograph cannot be read, the device fails, or `watch` fails.
@@ -209,8 +209,8 @@ pub fn evaluate_frame(
     Ok(true)
 }
 
-/// Returns the compared colours of `rgb`, a picture of view `view`: those of all pixels, except pixels for which the
-/// lens has no ray and pixels of which a mask keeps less than half.
+/// Returns the compared colours of `rgb`, a picture of view `view`, row by row: those of all pixels, in their order,
+/// except pixels for which the lens has no ray and pixels of which a mask keeps less than half.
 pub fn compared(set: &ViewSet, view: usize, rgb: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     without(&excluded(set, view), rgb)
 }

@@ -49,7 +49,7 @@ impl Pixel {
 }
 
 impl Frame {
-    /// Returns the RGB of every pixel.
+    /// Returns the RGB of every pixel, row by row.
     pub fn rgb(&self) -> Vec<[f32; 3]> {
         self.pixels.iter().map(|pixel| pixel.rgb).collect()
     }

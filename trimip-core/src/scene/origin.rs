@@ -28,7 +28,7 @@ impl LocalOrigin {
         Self::at(&data.origin)
     }
 
-    /// Returns the origin at three numbers; zero for an empty list.
+    /// Returns the origin at `numbers`, x, y and z in world units of the data; zero unless there are three.
     pub fn at(numbers: &[f64]) -> Self {
         <[f64; 3]>::try_from(numbers).map_or_else(|_| Self::default(), |numbers| Self(numbers.into()))
     }

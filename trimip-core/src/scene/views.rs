@@ -99,7 +99,7 @@ impl ViewSet {
         self.scales.first().map_or(0, |finest| finest.views.len())
     }
 
-    /// Returns the pixels of view `index`, row by row.
+    /// Returns the RGBA pixels of view `index`, [height, width], row by row.
     pub fn pixels_of(&self, index: usize) -> &[[u8; 4]] {
         let view = &self.views[index];
         let k = &view.camera.intrinsics;
@@ -111,9 +111,9 @@ impl ViewSet {
         self.pixels_of(index).iter().map(|&pixel| composite_pixel(pixel, self.alpha, background)).collect()
     }
 
-    /// Returns the means over blocks of `factor` × `factor` pixels of view `index`: premultiplied colour and opacity, not
-    /// rounded. For [`Alpha::Kept`], a mean is the mean colour of the kept part, with opacity 1. Rows and columns that do
-    /// not fill a block are cropped.
+    /// Returns the means over blocks of `factor` × `factor` pixels of view `index`, row by row: premultiplied colour and
+    /// opacity, not rounded. For [`Alpha::Kept`], a mean is the mean colour of the kept part, with opacity 1. Rows and
+    /// columns that do not fill a block are cropped.
     pub fn means(&self, index: usize, factor: u32) -> Vec<[f64; 4]> {
         let k = &self.views[index].camera.intrinsics;
         let (width, factor) = (k.width as usize, factor as usize);
@@ -142,7 +142,7 @@ impl ViewSet {
     }
 
     /// Filters view `index` with a true box filter of `factor` × `factor` pixels and composites it on a background. Returns
-    /// RGB in [0, 1].
+    /// RGB in [0, 1], row by row as [`means`](Self::means) does.
     pub fn box_filtered(&self, index: usize, factor: u32, background: [f32; 3]) -> Vec<[f32; 3]> {
         let on = |[r, g, b, a]: [f64; 4]| {
             let channel = |c: usize| [r, g, b][c] + (1.0 - a) * f64::from(background[c]);

@@ -28,8 +28,8 @@ pub(super) fn cameras(views: &ViewSet) -> Vec<Camera> {
     near.into_iter().step_by(stride).collect()
 }
 
-/// Returns the point nearest to all optical axes, by least squares; `None` if they are parallel. Panoramas and stray cameras are
-/// left out.
+/// Returns the point nearest to all optical axes, in world units, by least squares; `None` without cameras, or if the axes are
+/// parallel. Panoramas and stray cameras are left out.
 pub fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     let directed = |camera: &&Camera| camera.intrinsics.lens.model.definition().directed;

@@ -77,7 +77,8 @@ pub struct Lit {
 }
 
 impl Lit {
-    /// Lists the samples whose compositing weight is at least `least`. If `least` is 0, all samples have a colour.
+    /// Lists the samples whose compositing weight is at least `least`, or NaN. If `least` is 0, all samples have a
+    /// colour. `radiance` has one element per sample.
     pub fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
         self.listed = least > 0.0;
         self.rows.clear();
@@ -105,7 +106,8 @@ impl Lit {
         if self.listed { self.rows[i] as usize } else { i }
     }
 
-    /// Returns the density network's outputs for the samples that have a colour.
+    /// Returns the density network's outputs for the samples that have a colour, in their order, with padded rows and
+    /// width.
     pub fn of<'a>(&'a self, density: &'a Activations) -> &'a Buffer<f32> {
         if self.listed { &self.outputs } else { density.output() }
     }

@@ -17,7 +17,7 @@ pub struct Activations {
 }
 
 impl Activations {
-    /// Returns the output, whose rows have a padded width.
+    /// Returns the output, [rows, width], with padded rows and width.
     pub fn output(&self) -> &Buffer<f32> {
         &self.layers[self.layers.len() - 1]
     }

@@ -31,7 +31,7 @@ impl MlpGradient {
         }
     }
 
-    /// Appends all gradients to a message.
+    /// Appends the bytes of all gradients to the message `out`.
     pub fn put(&self, out: &mut Vec<u8>) {
         self.buffers().for_each(|values| put(out, values));
     }

@@ -33,12 +33,13 @@ pub fn orbit(intrinsics: Intrinsics, radius: f64, elevation: f64, azimuth: f64) 
     Camera::look_at(intrinsics, origin, DVec3::ZERO, DVec3::Z)
 }
 
-/// Returns `count` cameras, evenly spaced on one turn around the origin; the first is on the side of +x.
+/// Returns `count` cameras, evenly spaced on one turn around the origin from +x towards +y; the first is on the side of
+/// +x. `radius` and `elevation` are as in [`orbit`].
 pub fn turntable(intrinsics: Intrinsics, radius: f64, elevation: f64, count: usize) -> Vec<Camera> {
     (0..count).map(|i| orbit(intrinsics, radius, elevation, TAU * i as f64 / count as f64)).collect()
 }
 
-/// Returns the training cameras: a golden-angle spiral, uniform in area over the upper hemisphere.
+/// Returns the `count` training cameras: a golden-angle spiral upwards, uniform in area over the upper hemisphere.
 pub fn train_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
     (0..count)
         .map(|i| {
@@ -48,7 +49,7 @@ pub fn train_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
         .collect()
 }
 
-/// Returns the test cameras: a ring with elevations of 30°, 12°, 30° and 55° in turn.
+/// Returns the `count` test cameras: a ring from +x towards +y, with elevations of 30°, 12°, 30° and 55° in turn.
 pub fn test_cameras(intrinsics: Intrinsics, count: usize) -> Vec<Camera> {
     (0..count)
         .map(|i| {

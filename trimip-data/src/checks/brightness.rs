@@ -33,6 +33,7 @@ const DARKEST: f64 = 1.0 / 4096.0;
 const NAME: &str = "exposure";
 
 /// Returns the mean brightness of the kept pixels in stops (0: white, -1: half of it), or `None` if no pixel is kept.
+/// `pixels` are RGBA, in any order.
 pub fn stops(pixels: &[[u8; 4]], alpha: Alpha) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0_u64);
     for pixel in pixels.iter().filter(|pixel| pixel[3] >= KEPT) {

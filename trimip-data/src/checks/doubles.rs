@@ -33,7 +33,7 @@ fn extent(cameras: &[Camera]) -> f64 {
     }
 }
 
-/// Checks that no two frames have the same pose.
+/// Checks that no two frames have the same pose. `test` has the name and camera of each test frame.
 pub fn poses(train: &ViewSet, test: &[(String, Camera)]) -> Check {
     let limit = "two frames at one place with the same axes: no hand holds a camera that still".to_string();
     let cameras = cameras(train);

@@ -35,7 +35,8 @@ fn observed<'a>(
     })
 }
 
-/// Checks that points project to where the views saw them.
+/// Checks that points project to where the views saw them. The verdict is unknown without `points` that list the views
+/// that saw them.
 pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     const NAME: &str = "reprojection of points";
     let limit = format!(
@@ -84,7 +85,8 @@ pub fn reprojection(train: &ViewSet, points: &[Point]) -> Check {
     Check { name: NAME, figure, limit, verdict, suspects, values }
 }
 
-/// Checks that points are in front of the cameras that saw them.
+/// Checks that points are in front of the cameras that saw them. The verdict is unknown without `points` that list the
+/// views that saw them.
 pub fn ahead(train: &ViewSet, points: &[Point]) -> Check {
     const NAME: &str = "points in front of cameras";
     let limit = format!(

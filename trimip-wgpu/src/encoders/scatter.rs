@@ -89,7 +89,7 @@ impl Scatter {
         self.length
     }
 
-    /// Sets the sums to zero.
+    /// Sets the sums to zero: the first [`length`](Self::length) floats of `sums`, and the high words.
     pub fn clear(&self, sums: &Buffer<f32>) {
         let bytes = |count: usize| (count * size_of::<f32>()) as u64;
         self.gpu.clear(sums.raw(), 0, bytes(self.length));
@@ -113,7 +113,8 @@ impl Scatter {
         self.gpu.dispatch(&self.add, &binds, params, size);
     }
 
-    /// Converts sums in fixed point to f32.
+    /// Converts sums in fixed point to f32, in place: the first [`length`](Self::length) floats of `sums`. Leaves other
+    /// sums unchanged.
     pub fn to_float(&self, sums: &Buffer<f32>) {
         if let Some(to_float) = &self.to_float {
             let count = self.length as u32 / 4;

@@ -72,7 +72,8 @@ impl<T: Pod> Buffer<T> {
         self.length = Length::Counted { counts: counts.clone(), counter, width, most: capacity };
     }
 
-    /// Swaps the contents with an array of another type.
+    /// Swaps the memory with an array of another type. Lengths are swapped as they are, in values: if the values of the
+    /// arrays differ in size, the caller has to set both lengths again.
     pub fn swap<U>(&mut self, other: &mut Buffer<U>) {
         std::mem::swap(&mut self.raw, &mut other.raw);
         std::mem::swap(&mut self.bytes, &mut other.bytes);
@@ -108,19 +109,19 @@ impl<T: Pod> Buffer<T> {
         }
     }
 
-    /// Replaces the values.
+    /// Replaces the values, and sets the length to that of `values`.
     pub fn write(&mut self, values: &[T]) {
         self.resize(values.len());
         self.gpu.write(&self.raw, values);
     }
 
-    /// Copies the values to the host; waits for the device.
+    /// Copies the values to the host; waits for the device. A length on the device is read first.
     pub fn read(&self) -> Vec<T> {
         let count = self.count_receipt().map(|receipt| self.gpu.redeem(receipt));
         self.gpu.redeem(self.gpu.send(&self.raw, 0, self.length_of(count)))
     }
 
-    /// Copies the values to the host; the future is pending while the device works.
+    /// Copies the values to the host as [`read`](Self::read) does; the future is pending while the device works.
     pub async fn read_async(&self) -> Vec<T> {
         let count = match self.count_receipt() {
             Some(receipt) => Some(self.gpu.redeem_async(receipt).await),

@@ -193,7 +193,7 @@ impl Gpu {
         self.counters.held.fetch_sub(bytes, Ordering::Relaxed);
     }
 
-    /// Writes values to the front of a buffer, after all work recorded so far.
+    /// Writes the bytes of `values` to the front of a buffer, after all work recorded so far.
     pub fn write<T: Pod>(&self, buffer: &wgpu::Buffer, values: &[T]) {
         self.write_at(buffer, 0, values);
     }

@@ -34,7 +34,8 @@ impl Gpu {
         Receipt { staging, count, number: recorder.number, kind: std::marker::PhantomData }
     }
 
-    /// Returns the copied values. Waits until the device has executed the copy, but not for later work.
+    /// Returns the copied values, as many as [`send`](Self::send) was given; they are zeros if the device failed. Waits
+    /// until the device has executed the copy, but not for later work.
     pub fn redeem<T: Pod>(&self, receipt: Receipt<T>) -> Vec<T> {
         let wait = {
             let mut recorder = self.recorder();

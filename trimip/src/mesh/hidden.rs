@@ -37,7 +37,8 @@ impl Bits {
     }
 }
 
-/// Returns the directions of the lines of sight: the candidates within the field of view of a camera, or all candidates without cameras.
+/// Returns the directions of the lines of sight, as unit vectors: the candidates within the field of view of a camera, or all
+/// candidates if no camera has one in its field of view.
 pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
     let all = (0..DIRECTIONS).map(towards);
     let sees = |camera: &Camera, direction: &[f64; 3]| {

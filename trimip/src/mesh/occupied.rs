@@ -56,7 +56,8 @@ impl Occupied {
         bits::is_set(&self.bits, cell as usize)
     }
 
-    /// Fills a layer of the grid with densities, zero outside the occupied cells.
+    /// Fills `layer`, the points of index `z` of the grid, x fastest, with densities per world unit; zero outside the
+    /// occupied cells.
     ///
     /// # Errors
     /// When the device fails.

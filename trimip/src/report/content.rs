@@ -112,7 +112,7 @@ impl<'a> Report<'a> {
         self.history.best_known()
     }
 
-    /// Returns the evaluations that form the curve of error against time.
+    /// Returns the evaluations that form the curve of error against time, in step order.
     pub fn curve(&self) -> Vec<&Evaluation> {
         self.history.curve()
     }

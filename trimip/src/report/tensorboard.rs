@@ -52,8 +52,8 @@ impl Point {
     }
 }
 
-/// Returns the event file of a run: the step events among `events`, and the evaluations of `history`. Values that are not finite are left
-/// out.
+/// Returns the bytes of the event file of a run: the step events among `events`, and the evaluations of `history`. Values that
+/// are not finite are left out.
 pub fn file(history: &History, events: &[Event]) -> Vec<u8> {
     let mut points: Vec<Point> = events.iter().filter_map(of_step).collect();
     points.extend(history.curve().into_iter().map(|e| Point::new(&e.totals, of_evaluation("eval", e))));

@@ -8,14 +8,15 @@ use trimip_core::{Camera, Intrinsics, Result, ViewSet, scene::origin::LocalOrigi
 /// File name of the finished model in a run folder.
 const MODEL: &str = "model.safetensors";
 
-/// Returns the cameras of the finest photographs of a set, with the names of the photographs.
+/// Returns the cameras of the finest photographs of a set, in their order, with the names of the photographs.
 pub fn finest(views: &ViewSet) -> Vec<Named> {
     let finest = views.scales.first().map(|scale| &views.views[scale.views.clone()]).unwrap_or_default();
     finest.iter().map(|view| (view.name.clone(), view.camera)).collect()
 }
 
-/// Returns the training cameras stored in the run folder `model`, or in the run folder of the model file `model`, in coordinates relative
-/// to `origin`, the model's local origin. `None` if no cameras are stored, as in runs of earlier versions.
+/// Returns the training cameras stored in the run folder `model`, or in the run folder of the model file `model`, in the order of
+/// the photographs and in coordinates relative to `origin`, the model's local origin. `None` if no cameras are stored, as in runs
+/// of earlier versions.
 ///
 /// # Errors
 /// When the file exists but contains no valid cameras.

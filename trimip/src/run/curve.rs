@@ -11,8 +11,11 @@ pub struct Measure {
     pub psnr: f64,
 }
 
-/// Parses the measurements of a CSV text and sorts them by time; also returns the final one if a column `last` marks
-/// it. A line with an empty PSNR is an evaluation whose result was not a number.
+/// Parses the measurements of a CSV text and sorts them as [`curve`] does; the final one is the line that a column
+/// `last` marks. Lines with an empty PSNR, evaluations whose result was not a number, are skipped.
+///
+/// # Errors
+/// When a column is missing, a value is not a finite number, or there are no evaluations; the error names `file`.
 pub fn parse(file: &str, text: &str) -> Result<(Vec<Measure>, Option<Measure>)> {
     let mut lines = text.lines().zip(1..).filter(|(line, _)| !line.trim().is_empty());
     let header: Vec<&str> =
@@ -59,7 +62,9 @@ pub struct Evaluated {
     pub views: Option<String>,
 }
 
-/// Returns the points of a curve in order of time, and the final measurement if it uses other views; `None` without measurements.
+/// Returns the points of a curve in order of time, and the final measurement; `None` without measurements. The final measurement
+/// is also a point if it uses the same views as the row before it. If it is the only measurement, it is a point and is not
+/// returned separately.
 pub fn curve(rows: impl Iterator<Item = Evaluated>) -> Option<(Vec<Measure>, Option<Measure>)> {
     let (mut points, mut last, mut before) = (Vec::new(), None, None);
     for Evaluated { measure, ends, views } in rows {

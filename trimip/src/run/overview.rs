@@ -31,7 +31,8 @@ pub struct Subject<'a> {
 }
 
 impl Overview {
-    /// Returns the overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's.
+    /// Returns the overview of a run that starts at `step` and writes to `folder`; `findings` are the scene plan's, and
+    /// `memory` has the name and bytes of each part.
     pub fn new(
         config: &Config,
         subject: &Subject<'_>,

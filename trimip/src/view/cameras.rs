@@ -47,7 +47,7 @@ pub fn flatten(json: &Value) -> Option<Vec<f64>> {
     }
 }
 
-/// Returns a camera from 12 or 16 numbers in row-major order. The 3×3 block must be a rotation.
+/// Returns a camera from the 12 or 16 numbers of a camera-to-world matrix, row by row. The 3×3 block must be a rotation.
 ///
 /// # Errors
 /// When there are not 12 or 16 finite numbers, or their 3×3 block is no rotation; `place` appears in the message.
@@ -93,8 +93,8 @@ struct Stated {
     extent: Option<f64>,
 }
 
-/// Reads the cameras of a file in the format of `transforms_test.json`; missing fields come from `fallback`. The file
-/// has the coordinates of the photographs; the returned cameras are relative to `origin`.
+/// Reads the cameras of a file in the format of `transforms_test.json`, in the order of the file; missing fields come
+/// from `fallback`. The file has the coordinates of the photographs; the returned cameras are relative to `origin`.
 ///
 /// # Errors
 /// When the file cannot be read, or a frame has an invalid camera.

@@ -22,8 +22,8 @@ pub fn flip_of_pictures(rendered: &RgbImage, target: &RgbImage) -> Option<Vec<f3
     }
 }
 
-/// Returns a map of FLIP errors as a picture in the colours of magma: black where no difference is visible, pale yellow at 1; `None` if
-/// this build has no FLIP.
+/// Returns a map of FLIP errors, one per pixel, row by row, as a picture in the colours of magma: black where no difference is
+/// visible, pale yellow at 1; `None` if this build has no FLIP.
 pub fn flip_colors(width: u32, height: u32, errors: &[f32]) -> Option<RgbImage> {
     #[cfg(feature = "flip")]
     {

@@ -11,7 +11,7 @@ use trimip_core::{Error, Frame, Result, atomic::write_atomically};
 /// Gain of the absolute difference in comparisons: a difference of 1/4 of the range has full brightness.
 pub const DIFFERENCE_GAIN: f32 = 4.0;
 
-/// Converts colours in [0, 1] to 8-bit pixels, rounded; NaN becomes black.
+/// Converts colours in [0, 1], [height, width], row by row, to 8-bit pixels, rounded; NaN becomes black.
 pub fn rgb_image(width: u32, height: u32, rgb: &[[f32; 3]]) -> RgbImage {
     let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
     ImageBuffer::from_fn(width, height, |x, y| {
@@ -19,12 +19,14 @@ pub fn rgb_image(width: u32, height: u32, rgb: &[[f32; 3]]) -> RgbImage {
     })
 }
 
-/// Returns the absolute difference per channel, multiplied by [`DIFFERENCE_GAIN`].
+/// Returns the absolute difference per channel, multiplied by [`DIFFERENCE_GAIN`], for each pixel of both pictures in
+/// order.
 pub fn difference(a: &[[f32; 3]], b: &[[f32; 3]]) -> Vec<[f32; 3]> {
     a.iter().zip(b).map(|(a, b)| std::array::from_fn(|c| (a[c] - b[c]).abs() * DIFFERENCE_GAIN)).collect()
 }
 
-/// Places the rendered view, the photograph and their difference side by side, 2 white pixels apart.
+/// Places the rendered view, the photograph and their difference side by side, 2 white pixels apart. Both are RGB in [0,
+/// 1], [height, width], row by row.
 pub fn side_by_side(width: u32, height: u32, rendered: &[[f32; 3]], photograph: &[[f32; 3]]) -> RgbImage {
     const GAP: u32 = 2;
     let mut sheet = RgbImage::from_pixel(3 * width + 2 * GAP, height, Rgb([255; 3]));
@@ -42,7 +44,7 @@ pub fn panels(sheet: &RgbImage) -> [RgbImage; 3] {
     })
 }
 
-/// Encodes a picture as PNG.
+/// Encodes a picture as PNG and returns the bytes of the file.
 ///
 /// # Errors
 /// When the picture cannot be encoded.
@@ -71,7 +73,7 @@ pub fn write_frame(path: &Path, frame: &Frame) -> Result<()> {
     write_png(path, rgb_image(frame.width, frame.height, &frame.rgb()))
 }
 
-/// Converts values between `low` and `high` to 16-bit grey.
+/// Converts values between `low` and `high`, [height, width], row by row, to 16-bit grey.
 pub fn grey(
     width: u32,
     height: u32,
@@ -86,13 +88,14 @@ pub fn grey(
     })
 }
 
-/// Returns the expected distance along the optical axis: composited depth / opacity; `empty` where the ray hits nothing.
+/// Returns the expected distance along the optical axis of each pixel, row by row, in world units: composited depth /
+/// opacity; `empty` where the ray hits nothing.
 pub fn depth(frame: &Frame, empty: f32) -> Vec<f32> {
     let seen = |opacity: f32| opacity > 1e-3;
     frame.pixels.iter().map(|p| if seen(p.opacity) { p.depth / p.opacity } else { empty }).collect()
 }
 
-/// Returns the opacity of every pixel.
+/// Returns the opacity of every pixel, row by row.
 pub fn opacity(frame: &Frame) -> Vec<f32> {
     frame.pixels.iter().map(|pixel| pixel.opacity).collect()
 }
@@ -117,7 +120,8 @@ impl DepthRange {
     }
 }
 
-/// Writes depths as 16-bit grey PNG. Text chunks store the range and the decoding formula.
+/// Writes depths, [height, width], row by row, in world units, as 16-bit grey PNG. Text chunks store the range and the
+/// decoding formula.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -144,7 +148,8 @@ pub fn write_depth_png(path: &Path, width: u32, height: u32, depth: &[f32], rang
     write_atomically(path, &bytes)
 }
 
-/// Writes named 32-bit float channels as one EXR file. Attributes store the depth range, if any.
+/// Writes named 32-bit float channels, [height, width] each, row by row, as one EXR file. Attributes store the depth range, if
+/// any.
 ///
 /// # Errors
 /// When the file cannot be written, or the build has no EXR.

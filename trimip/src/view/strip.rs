@@ -22,9 +22,9 @@ const ELEVATION: f64 = 20.0;
 /// Horizontal field of view of the cameras, degrees.
 const ANGLE: f64 = 40.0;
 
-/// Returns the cameras of a strip with pictures of `side` × `side` pixels: a little from above around a bounded scene,
-/// along `photographed` through contracted space. If no two photographed cameras differ, the cameras are on the circle
-/// in contracted space too.
+/// Returns the cameras of a strip with pictures of `side` × `side` pixels, from left to right: a little from above
+/// around a bounded scene, along `photographed` through contracted space. If no two photographed cameras differ, the
+/// cameras are on the circle in contracted space too.
 ///
 /// # Errors
 /// When the scene allows no upright view.

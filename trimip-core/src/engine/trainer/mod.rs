@@ -170,12 +170,12 @@ impl<B: Backend> Trainer<B> {
         self.loaded.layout()
     }
 
-    /// Returns all parameters, flat.
+    /// Returns all parameters as one flat array in the order of the [`layout`](Self::layout), padding included.
     pub fn parameters(&self) -> Vec<f32> {
         self.loaded.parameters()
     }
 
-    /// Replaces all parameters.
+    /// Replaces all parameters with `values`, in the form of [`parameters`](Self::parameters).
     pub fn set_parameters(&mut self, values: &[f32]) {
         self.loaded.set_parameters(values);
     }

@@ -23,7 +23,8 @@ impl<B: Backend> Trainer<B> {
     }
 
     /// Returns loss and gradient of the current parameters on the rays of `rays` pixels of step `step`; does not change
-    /// the parameters. The gradient is flat and divided by the sum of the weights.
+    /// the parameters. The gradient has the form of [`parameters`](Self::parameters) and is divided by the sum of the
+    /// weights.
     ///
     /// # Errors
     /// When the device fails.
@@ -66,8 +67,9 @@ impl<B: Backend> Trainer<B> {
         Ok((result.sums, gradient.unwrap_or_default()))
     }
 
-    /// Replaces the motions of the photographs' cameras: a rotation (radians) and a translation (world units) of each
-    /// camera in its own axes. Does nothing unless poses are refined.
+    /// Replaces the motions of the photographs' cameras, one per photograph in the order of
+    /// [`photographs`](crate::engine::exposure::photographs): a rotation (radians) and a translation (world units) of
+    /// each camera in its own axes. Does nothing unless poses are refined.
     pub fn set_poses(&mut self, motions: &[Motion]) {
         if let Some(poses) = &mut self.poses {
             poses.set(motions);

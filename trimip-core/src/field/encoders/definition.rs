@@ -78,7 +78,7 @@ pub trait Definition: Sync {
 
 /// An encoder in f64, one sample at a time: the reference that the backends approximate.
 pub trait Reference: Send + Sync {
-    /// Returns the features of a sample.
+    /// Returns the features of a sample, [`width`](Definition::width) numbers.
     fn features(&self, at: &SamplePosition) -> Vec<f64>;
 }
 

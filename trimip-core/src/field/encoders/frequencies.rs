@@ -60,7 +60,7 @@ impl<R: Real> Encoding<R> {
         [world(mean), variance]
     }
 
-    /// Writes the features of a sample.
+    /// Writes the features of a sample to the first [`width`](Self::width) numbers of `out`.
     #[inline(always)]
     pub fn write(&self, [mean, variance]: [[R; 3]; 2], out: &mut [R]) {
         let first = if self.identity { 3 } else { 0 };

@@ -77,7 +77,7 @@ impl Levels {
         self.levels.len() * self.features
     }
 
-    /// Returns the levels that are in use at growth stage `stage`: all except the `stage` finest.
+    /// Returns the levels that are in use at growth stage `stage`, coarse to fine: all except the `stage` finest.
     pub fn active(&self, stage: u32) -> &[Level] {
         &self.levels[..self.levels.len().saturating_sub(stage as usize)]
     }

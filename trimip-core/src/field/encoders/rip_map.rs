@@ -103,8 +103,8 @@ pub struct Read<R> {
     pub taps: Taps<R>,
 }
 
-/// Returns the unit normals of the planes. 3, 4, 6 or 10 planes are parallel to the faces of a cube, octahedron,
-/// dodecahedron or icosahedron, respectively.
+/// Returns the unit normals of the planes, in world axes. 3, 4, 6 or 10 planes are parallel to the faces of a cube,
+/// octahedron, dodecahedron or icosahedron, respectively.
 pub fn normals(planes: u32) -> Vec<[f64; 3]> {
     let golden = f64::midpoint(1.0, 5_f64.sqrt());
     let cyclic = |[x, y, z]: [f64; 3]| [[x, y, z], [z, x, y], [y, z, x]];

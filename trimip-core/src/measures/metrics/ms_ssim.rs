@@ -10,9 +10,9 @@ const WEIGHTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 pub const LEAST_SIDE: usize = WINDOW << (WEIGHTS.len() - 1);
 
 /// Returns the multi-scale structural similarity, averaged over the channels; NaN for images with a side below
-/// [`LEAST_SIDE`], which have no window at the coarsest scale. The pixels of a scale are means of 2×2 pixels of the next
-/// finer scale; a last odd row or column counts twice. A scale whose mean contrast and structure are negative counts as
-/// zero, because a power of a negative number is not real.
+/// [`LEAST_SIDE`], which have no window at the coarsest scale. The images are RGB, [height, width], row by row. The
+/// pixels of a scale are means of 2×2 pixels of the next finer scale; a last odd row or column counts twice. A scale
+/// whose mean contrast and structure are negative counts as zero, because a power of a negative number is not real.
 pub fn ms_ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize) -> f64 {
     assert_eq!(image.len(), width * height, "image of the stated size");
     assert_eq!(target.len(), width * height, "target of the stated size");

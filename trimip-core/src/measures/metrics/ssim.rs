@@ -8,7 +8,7 @@ const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
 /// Returns the structural similarity, averaged over all windows that fit and over the channels. Along a side shorter than
-/// the window, the window is as long as that side.
+/// the window, the window is as long as that side. The images are RGB, [height, width], row by row.
 pub fn ssim(image: &[[f32; 3]], target: &[[f32; 3]], width: usize, height: usize) -> f64 {
     assert_eq!(image.len(), width * height, "image of the stated size");
     assert_eq!(target.len(), width * height, "target of the stated size");

@@ -65,6 +65,12 @@ struct Band<'a> {
 
 /// Overwrites `maps`, the gradients of all ripmaps, with the sums of all partial gradients. On entry and on return,
 /// `maps` are zero outside of `touched`. `base`, the gradient of the parameters, is set to zero.
+///
+/// Shapes:
+/// - `gradients`: one per set of partial gradients, summed in this order
+/// - `maps`: [rows, columns, 16] of each plane's ripmap, plane by plane
+/// - `touched`: for each plane, one extent per row of its ripmap
+/// - `base`: [rows, columns, 16] of each plane's level (0, 0), plane by plane
 pub fn spread(
     simd: Simd,
     planes: &[Plane<f32>],

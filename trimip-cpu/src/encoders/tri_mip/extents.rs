@@ -38,7 +38,7 @@ impl Extents {
         self.levels.iter_mut()
     }
 
-    /// Returns the extents of `level`, mutable, and those of the next coarser level.
+    /// Returns the extents of `level`, mutable, and those of the next coarser level: one per row, plane by plane.
     pub fn levels_mut(&mut self, level: usize) -> (&mut [Extent], &[Extent]) {
         let (finer, coarser) = self.levels.split_at_mut(level + 1);
         (&mut finer[level], &coarser[0])

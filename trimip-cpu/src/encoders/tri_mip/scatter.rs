@@ -74,8 +74,11 @@ impl LevelBand<'_> {
 }
 
 impl<'a> Band<'a> {
-    /// Returns the bands of all planes, ordered by plane. `base` and `derived` hold the gradients of level 0 and of the
-    /// levels above.
+    /// Returns the bands of all planes, ordered by plane.
+    ///
+    /// Shapes:
+    /// - `base`: [rows, columns, 16] of each plane, plane by plane: the gradient of level 0
+    /// - `derived`: as `base` for each of the levels above, level by level
     pub fn all(
         pyramid: &Pyramid,
         division: &Division,
@@ -199,7 +202,8 @@ pub struct Sums<'a> {
 }
 
 impl Sums<'_> {
-    /// Overwrites a band with the sum of the leaves `own` of a step.
+    /// Overwrites a band with the sum of the leaves `own` of a step. `gradients` are all sets of partial gradients of
+    /// the step, in order; `tree` assigns them to leaves.
     pub fn spread(
         &self,
         gradients: &[&mut Gradient],
@@ -290,7 +294,8 @@ impl Sums<'_> {
         }
     }
 
-    /// Writes the part of this rank's sum that rank `to` needs.
+    /// Appends the part of this rank's sum that rank `to` needs to the message `out`: for each row, its extent, then the
+    /// gradients of its touched texels.
     pub fn put(&self, to: Rank, band: &Band<'_>, out: &mut Vec<u8>) {
         for LevelBand { row, texels, extents, .. } in &band.levels[self.levels(to, band)] {
             for (row, extent) in texels.chunks_exact(*row).zip(extents.iter()) {
