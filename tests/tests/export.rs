@@ -192,3 +192,71 @@ fn what_cannot_be_exported_is_refused_and_nothing_is_written() {
     assert_eq!(fs::read(here.join("mesh.ply")).unwrap(), b"mine");
     assert!(!here.join("run/mesh.ply").exists());
 }
+
+/// Returns the positions of the cameras of a `cameras.json` by the names of their photographs, without folder and extension.
+fn positions(path: &Path) -> std::collections::BTreeMap<String, [f64; 3]> {
+    let document: serde_json::Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+    let frames = document["frames"].as_array().unwrap().iter().map(|frame| {
+        let name = Path::new(frame["file_path"].as_str().unwrap()).file_stem().unwrap();
+        let at = [0, 1, 2].map(|row: usize| frame["transform_matrix"][row][3].as_f64().unwrap());
+        (name.to_string_lossy().into_owned(), at)
+    });
+    frames.collect()
+}
+
+#[test]
+fn exported_cameras_are_read_again_from_every_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let small =
+        ["--set", "data.builtin_size=16", "--set", "data.builtin_train=9", "--set", "data.builtin_test=2"];
+    assert_eq!(run(here, &[&["data", "builtin", "scene"][..], &small].concat()).code, Some(0));
+    let of = |root: &'static str, out: &'static str| {
+        let root = format!("data.root={root}");
+        let arguments = ["--set", "data.format=auto", "--set", &root, "--out", out];
+        let answer = run(here, &tiny_and(&arguments));
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        positions(&here.join(out).join("cameras.json"))
+    };
+    let first = of("scene", "run");
+    assert_eq!(first.len(), 9);
+
+    // A COLMAP model and a transforms file, each with the photographs beside it, are data sets with the same cameras.
+    for (root, out) in [("colmap", "colmap/sparse/0"), ("json", "json/transforms.json")] {
+        let answer = run(here, &["export", "cameras", "run", "--out", out]);
+        assert_eq!(answer.code, Some(0), "{}", answer.err);
+        let images = here.join(root).join("images");
+        fs::create_dir_all(&images).unwrap();
+        for entry in fs::read_dir(here.join("scene/train")).unwrap() {
+            let path = entry.unwrap().path();
+            fs::copy(&path, images.join(path.file_name().unwrap())).unwrap();
+        }
+        let run = if root == "colmap" { "run2" } else { "run3" };
+        let again = of(root, run);
+        assert!(again.len() >= 7, "{root}: {again:?}");
+        for (name, at) in &again {
+            let expected = first[name];
+            assert!((0..3).all(|axis| (at[axis] - expected[axis]).abs() < 1e-9), "{root}, {name}: {at:?}");
+        }
+    }
+
+    // Test cameras, both, a path, and what is refused.
+    let count = |arguments: &[&str], expected: &str| {
+        let answer = run(here, &[&["export", "cameras", "run"], arguments].concat());
+        assert!(answer.code == Some(0) && answer.err.contains(expected), "{arguments:?}: {answer:?}");
+    };
+    count(&["--views", "test", "--out", "test.json"], "2 cameras");
+    count(&["--views", "all", "--out", "all.gltf"], "11 cameras");
+    count(&["--path", "test.json", "--out", "path.gltf"], "2 cameras");
+    for (arguments, expected) in [
+        (&["--out", "cameras.txt"][..], "names no format of cameras"),
+        (&["--path", "nowhere.json", "--out", "a.json"], "nowhere.json"),
+        (&["--path", "test.json", "--views", "all"], "cannot be used with"),
+    ] {
+        let answer = run(here, &[&["export", "cameras", "run"], arguments].concat());
+        assert!(answer.code == Some(2) && answer.err.contains(expected), "{arguments:?}: {answer:?}");
+    }
+    fs::copy(here.join("run/model.safetensors"), here.join("alone.safetensors")).unwrap();
+    let answer = run(here, &["export", "cameras", "alone.safetensors", "--out", "a.json"]);
+    assert!(answer.code == Some(2) && answer.err.contains("name the folder of a run"), "{answer:?}");
+}

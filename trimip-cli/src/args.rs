@@ -12,7 +12,7 @@ pub use bench::BenchArguments;
 pub use capture::CaptureArguments;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use data::{DataAction, DataArguments};
-pub use export::{ExportArguments, ExportWhat, MeshArguments, WebArguments};
+pub use export::{CameraSet, CamerasArguments, ExportArguments, ExportWhat, MeshArguments, WebArguments};
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
 pub use render::{PictureFormat, RenderArguments};
 use shared::ending;

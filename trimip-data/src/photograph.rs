@@ -108,12 +108,12 @@ impl Photograph {
             Some(available) => Err(Error::input(
                 &self.place,
                 format!(
-                    "image {} of {}x{} pixels takes {:.1} GB to read, but only {:.1} GB are available",
+                    "image {} of {}x{} pixels takes {:.0} MB to read, but only {:.0} MB are available",
                     self.path.display(),
                     self.width,
                     self.height,
-                    1e-9 * needed as f64,
-                    1e-9 * available as f64
+                    (1e-6 * needed as f64).ceil(),
+                    (1e-6 * available as f64).floor()
                 ),
                 "reduce its size",
             )),

@@ -305,8 +305,16 @@ impl Model {
         )
     }
 
-    /// Writes the model file and returns its size in bytes.
+    /// Writes the model file, whose name ends in .safetensors, and returns its size in bytes.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
+        if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("safetensors")) {
+            let place = path.display().to_string();
+            return Err(refused(
+                &place,
+                "is not the name of a model file",
+                "give a name that ends in .safetensors",
+            ));
+        }
         let write = || {
             let _held = lock_for_writing(&path)?;
             self.model.write(&path)

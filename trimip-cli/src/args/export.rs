@@ -1,7 +1,7 @@
 //! The options of `export`.
 
 use super::CropChoice;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// Options of `export`.
@@ -19,6 +19,37 @@ pub enum ExportWhat {
     Mesh(MeshArguments),
     /// A folder for any static web server: the model, and a page that renders it on the visitor's GPU (WebGPU)
     Web(WebArguments),
+    /// The cameras of the photographs or of a path: a transforms file, the text files of a COLMAP model, or a glTF scene
+    Cameras(CamerasArguments),
+}
+
+/// Options of `export cameras`.
+#[derive(Args, Debug)]
+pub struct CamerasArguments {
+    /// Run folder
+    pub model: PathBuf,
+    /// File or folder to write: FILE.json (transforms), FILE.gltf, or a folder without extension (COLMAP's text files) [default: `colmap`
+    /// next to the model]
+    #[arg(long, value_name = "PATH")]
+    pub out: Option<PathBuf>,
+    /// The photographs whose cameras are written. Those of the training photographs are the ones that the run used or refined; the others
+    /// come from the data set
+    #[arg(long, value_enum, default_value = "train")]
+    pub views: CameraSet,
+    /// Write the cameras of this path file instead
+    #[arg(long, value_name = "FILE", conflicts_with = "views")]
+    pub path: Option<PathBuf>,
+}
+
+/// Photographs whose cameras `export cameras` writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CameraSet {
+    /// The training photographs
+    Train,
+    /// The test photographs
+    Test,
+    /// Both
+    All,
 }
 
 /// Options of `export web`.

@@ -1,5 +1,6 @@
 //! `export`: writes a model in a form that other programs read.
 
+mod cameras;
 mod web;
 
 use crate::{
@@ -24,6 +25,7 @@ pub fn run(arguments: &ExportArguments) -> Result<u8> {
     match &arguments.what {
         ExportWhat::Mesh(arguments) => export_mesh(arguments),
         ExportWhat::Web(arguments) => web::export(arguments),
+        ExportWhat::Cameras(arguments) => cameras::export(arguments),
     }
 }
 

@@ -93,6 +93,42 @@ impl ModelCamera {
         Ok(Self { id, kind, width, height, parameters })
     }
 
+    /// Returns the camera that describes `intrinsics` exactly with the fewest parameters; `None` if no model of COLMAP can.
+    pub(super) fn of(id: u32, intrinsics: &Intrinsics) -> Option<Self> {
+        let lens = &intrinsics.lens;
+        let value = |name: &str| match name {
+            "f" | "fx" => intrinsics.fx,
+            "fy" => intrinsics.fy,
+            "cx" => intrinsics.cx,
+            "cy" => intrinsics.cy,
+            "k1" => lens.radial[0],
+            "k2" => lens.radial[1],
+            "k3" => lens.radial[2],
+            "k4" => lens.radial[3],
+            "d1" => lens.denominator[0],
+            "d2" => lens.denominator[1],
+            "d3" => lens.denominator[2],
+            "p1" => lens.tangential[0],
+            "p2" => lens.tangential[1],
+            "sx1" => lens.prism[0],
+            "sy1" => lens.prism[1],
+            "w" => f64::from(intrinsics.width),
+            "h" => f64::from(intrinsics.height),
+            _ => 0.0,
+        };
+        let size = [intrinsics.width, intrinsics.height].map(u64::from);
+        let of_kind = |kind: Kind| {
+            Self::new(id, kind, size, kind.parameters().iter().map(|name| value(name)).collect()).ok()
+        };
+        let fitting = kinds().filter_map(of_kind).filter(|camera| camera.intrinsics() == *intrinsics);
+        fitting.min_by_key(|camera| camera.parameters.len())
+    }
+
+    /// Returns the parameters in the order of the files.
+    pub(super) fn parameters(&self) -> &[f64] {
+        &self.parameters
+    }
+
     /// Returns false if a parameter is not finite, because the calibration failed.
     pub fn is_finite(&self) -> bool {
         self.parameters.iter().all(|parameter| parameter.is_finite())

@@ -8,8 +8,10 @@ mod locate;
 mod model;
 mod parse;
 mod text;
+mod write;
 
 pub(crate) use capture::Capture;
 pub use lenses::ModelCamera;
 pub(crate) use locate::is_there;
 pub use model::{Encoding, File, Model, ModelImage, ModelPoint};
+pub use write::Texts;

@@ -211,7 +211,7 @@ class Model:
     def evaluate(self, stride: int = 1) -> dict[str, Any]:
         """Measures every `stride`-th test view; returns a dictionary with `stride`, `scales`, `mean`, `views` and `seconds`."""
     def save(self, path: str | PathLike[str]) -> int:
-        """Writes the model file and returns its size in bytes."""
+        """Writes the model file, whose name ends in .safetensors, and returns its size in bytes."""
     @property
     def config(self) -> dict[str, Any]:
         """All settings, as nested dictionaries."""

@@ -1,5 +1,6 @@
 //! Pictures and metrics of a model: cameras, picture files, and the comparison with test photographs.
 
+mod camera_files;
 pub mod cameras;
 mod files;
 mod flip;
@@ -15,6 +16,7 @@ pub mod strip;
 pub mod turntable;
 pub mod video;
 
+pub use camera_files::{CameraFormat, export_cameras};
 pub use cameras::Named;
 pub use files::{
     CAMERAS, PictureFormat, Quantity, Rendered, depth_range, expect_no_others, write, write_cameras,
