@@ -260,3 +260,74 @@ fn exported_cameras_are_read_again_from_every_format() {
     let answer = run(here, &["export", "cameras", "alone.safetensors", "--out", "a.json"]);
     assert!(answer.code == Some(2) && answer.err.contains("name the folder of a run"), "{answer:?}");
 }
+
+#[test]
+fn a_texture_belongs_to_its_mesh_in_both_formats() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let export = |arguments: &[&str]| {
+        let mesh = ["export", "mesh", "run", "--resolution", "24", "--triangles", "300", "--level", "0.5"];
+        run(here, &[&mesh[..], arguments].concat())
+    };
+    let answer = export(&["--texture", "128", "--out", "mesh.glb", "--psnr"]);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert!(
+        answer.err.contains(" of the texels show the surface") && answer.err.contains(" dB on 1 test view")
+    );
+    let bytes = fs::read(here.join("mesh.glb")).unwrap();
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    assert_eq!((word(0), word(8)), (0x4654_6c67, bytes.len()));
+    let json: serde_json::Value = serde_json::from_slice(&bytes[20..20 + word(12)]).unwrap();
+    let data = &bytes[20 + word(12) + 8..];
+    let number = |value: &serde_json::Value| value.as_u64().unwrap() as usize;
+    let view = |index: usize| {
+        let view = &json["bufferViews"][index];
+        &data[number(&view["byteOffset"])..][..number(&view["byteLength"])]
+    };
+    assert_eq!(json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"], 0);
+    let png = view(number(&json["images"][0]["bufferView"]));
+    let texture = image::load_from_memory(png).unwrap().to_rgb8();
+    assert_eq!(texture.dimensions(), (128, 128));
+    let attributes = &json["meshes"][0]["primitives"][0]["attributes"];
+    assert!(attributes["COLOR_0"].is_null());
+    let accessor = &json["accessors"][number(&attributes["TEXCOORD_0"])];
+    let coordinates = view(number(&accessor["bufferView"]));
+    assert_eq!(
+        (accessor["type"].as_str(), coordinates.len()),
+        (Some("VEC2"), 8 * number(&accessor["count"]))
+    );
+    assert_eq!(accessor["count"], json["accessors"][number(&attributes["POSITION"])]["count"]);
+
+    // The OBJ has the same texture and coordinates; v grows upward.
+    assert_eq!(export(&["--texture", "128", "--out", "mesh.obj"]).code, Some(0));
+    assert_eq!(image::open(here.join("mesh_texture.png")).unwrap().to_rgb8(), texture);
+    let material = fs::read_to_string(here.join("mesh.mtl")).unwrap();
+    assert!(material.contains("map_Kd mesh_texture.png\n"), "{material}");
+    let text = fs::read_to_string(here.join("mesh.obj")).unwrap();
+    assert!(text.contains("\nmtllib mesh.mtl\nusemtl surface\n"));
+    let floats =
+        coordinates.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect::<Vec<_>>();
+    let mut count = 0;
+    for (line, pair) in
+        text.lines().filter_map(|line| line.strip_prefix("vt ")).zip(floats.as_chunks::<2>().0)
+    {
+        let (u, v) = line.split_once(' ').unwrap();
+        assert_eq!([u.parse::<f32>().unwrap(), v.parse::<f32>().unwrap()], [pair[0], 1.0 - pair[1]]);
+        count += 1;
+    }
+    assert_eq!(8 * count, coordinates.len());
+
+    for (arguments, expected) in [
+        (&["--texture", "128", "--out", "other.ply"][..], "PLY has no textures"),
+        (
+            &["--texture", "64", "--triangles", "100000", "--resolution", "100", "--out", "other.glb"],
+            "texels along each side",
+        ),
+        (&["--texture", "32", "--out", "other.glb"], "32"),
+    ] {
+        let answer = export(arguments);
+        assert!(answer.code == Some(2) && answer.err.contains(expected), "{arguments:?}: {}", answer.err);
+    }
+    assert!(!here.join("other.glb").exists() && !here.join("other.ply").exists());
+}

@@ -107,6 +107,12 @@ pub struct MeshArguments {
     /// Leave out the colours of the vertices
     #[arg(long)]
     pub no_colors: bool,
+    /// Write a texture of N by N texels instead of colours of the vertices (GLB or OBJ)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(64..=16_384))]
+    pub texture: Option<u32>,
+    /// Compare pictures of the mesh with every N-th test photograph (needs the data set)
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
+    pub psnr: Option<u32>,
     /// Compare the silhouettes with the masks of every N-th test view (needs the data set)
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     pub silhouettes: Option<u32>,

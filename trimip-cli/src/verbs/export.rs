@@ -32,7 +32,10 @@ pub fn run(arguments: &ExportArguments) -> Result<u8> {
 /// Writes the surface of a model as a triangle mesh.
 fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
-    MeshFormat::of(&out)?;
+    let format = MeshFormat::of(&out)?;
+    if arguments.texture.is_some() {
+        format.expect_textures(&out)?;
+    }
     let mut model = run_folder::read_model(&arguments.model)?;
     settings::override_model(&mut model, &arguments.set)?;
     backends::check(&model.config.backend)?;
@@ -40,7 +43,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     // The data set is opened first, so that a missing one is reported before the work begins.
     let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
-        Err(error) if arguments.silhouettes.is_some() => return Err(error),
+        Err(error) if arguments.silhouettes.is_some() || arguments.psnr.is_some() => return Err(error),
         Err(_) => None,
     };
     let cameras = match &data {
@@ -71,7 +74,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
             (None, 0) => Goal::Everything,
             (None, count) => Goal::Triangles(count),
         },
-        colors: !arguments.no_colors,
+        colors: !arguments.no_colors && arguments.texture.is_none(),
         crop: arguments.crop.of(&model.config),
         least_cameras: arguments.seen_by.unwrap_or(Extraction::of(&model.config).least_cameras),
     };
@@ -81,11 +84,26 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
         bar.set_position((fraction * BAR as f64) as u64);
         !stop.load(Ordering::Relaxed)
     })?;
-    bar.finish_and_clear();
     let Some(extracted) = extracted else { return Ok(interrupt::EXIT_CODE) };
     let seconds = started.elapsed().as_secs_f64();
     let coordinates = if arguments.local { Coordinates::Local } else { Coordinates::Stated };
-    let bytes = mesh::write_in(&extracted.mesh, coordinates, &out)?;
+    let textured = match arguments.texture {
+        None => None,
+        Some(side) => {
+            let mut watch = |fraction: f64| {
+                bar.set_position((fraction * BAR as f64) as u64);
+                !stop.load(Ordering::Relaxed)
+            };
+            let made = mesh::texture(viewer.as_mut(), &extracted.mesh, extracted.spacing, side, &mut watch)?;
+            let Some(made) = made else { return Ok(interrupt::EXIT_CODE) };
+            Some((made, started.elapsed().as_secs_f64() - seconds))
+        }
+    };
+    bar.finish_and_clear();
+    let files = match &textured {
+        None => vec![(out.clone(), mesh::write_in(&extracted.mesh, coordinates, &out)?)],
+        Some(((mesh, texture), _)) => mesh::write_textured(mesh, texture, coordinates, &out)?,
+    };
     if !origin.is_zero() {
         terminal::prose(match coordinates {
             Coordinates::Stated => {
@@ -108,7 +126,34 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
             None => "silhouettes: no test photograph has a mask to compare with".into(),
         });
     }
-    terminal::line(format!("{}: {}", out.display(), terminal::bytes(bytes)));
+    if let Some(((_, texture), seconds)) = &textured {
+        terminal::prose(format!(
+            "texture: {}, {:.0} % of the texels show the surface, {seconds:.1} s",
+            terminal::many(texture.charts.into(), "chart"),
+            100.0 * texture.used
+        ));
+    }
+    if let (Some(stride), Some(data)) = (arguments.psnr, &data) {
+        let (mesh, texture) = match &textured {
+            Some(((mesh, texture), _)) => (mesh, Some(texture)),
+            None => (&extracted.mesh, None),
+        };
+        let background = model.config.data.background;
+        terminal::prose(
+            match mesh::psnr(mesh, texture, data.frames.as_ref(), stride as usize, background)? {
+                Some(found) => format!(
+                    "pictures of the mesh: {:.2} dB on {}, {:.2} dB within the mesh",
+                    found.whole,
+                    terminal::many(found.views as u64, "test view"),
+                    found.covered
+                ),
+                None => "pictures of the mesh: no test view shows the mesh".into(),
+            },
+        );
+    }
+    for (file, bytes) in files {
+        terminal::line(format!("{}: {}", file.display(), terminal::bytes(bytes)));
+    }
     Ok(0)
 }
 

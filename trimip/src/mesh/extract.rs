@@ -3,17 +3,17 @@
 use super::{
     Goal, Grid, Mesh, Removed,
     clean::{clean, remove_specks},
+    colors::{Sight, colors},
     hidden::{Bits, directions, visible},
     march,
-    occupied::{Occupied, PLACES_AT_ONCE},
+    occupied::Occupied,
     open::open,
     seen::Sightings,
     simplify,
 };
-use glam::{DVec3, Vec3};
 use trimip_core::{
-    Aabb, Camera, Config, Crop, Error, Query, Result, Viewer, config::Contraction, field::model::Model,
-    math::compositing::composite, scene::origin::LocalOrigin,
+    Aabb, Camera, Config, Crop, Error, Result, Viewer, config::Contraction, field::model::Model,
+    scene::origin::LocalOrigin,
 };
 
 /// Optical depth of a marching step at the density of the surface, unless a level is given. With this value, a ray that grazes the surface
@@ -25,9 +25,6 @@ const FILLED: f32 = 2.0;
 
 /// Minimum number of cameras that see a part. In contracted space, parts that fewer cameras see are left out.
 const LEAST_CAMERAS: u32 = 3;
-
-/// Number of samples that are composited for the colour of a vertex, along a line of sight opposite to its normal.
-const COLOR_SAMPLES: usize = 8;
 
 /// Settings of an extraction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -215,7 +212,7 @@ pub fn extract(
         return Ok(None);
     }
     if what.colors {
-        mesh.colors = colors(viewer, &mesh, grid.spacing)?;
+        mesh.colors = vertex_colors(viewer, &mesh, grid.spacing)?;
     }
     mesh.origin = LocalOrigin::of(&model.config.data);
     Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, unseen, triangles }))
@@ -233,42 +230,21 @@ fn around(aabb: &Aabb<f64>, resolution: u32) -> Grid {
     }
 }
 
-/// Returns the colour of each vertex as seen against its normal, by volume rendering over two cells on either side.
-fn colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32; 3]>> {
-    let length = 4.0 * spacing / COLOR_SAMPLES as f64;
-    let mut colors = Vec::with_capacity(mesh.positions.len());
-    let vertices = mesh.positions.iter().zip(&mesh.normals).collect::<Vec<_>>();
-    for vertices in vertices.chunks(PLACES_AT_ONCE / COLOR_SAMPLES) {
-        let queries: Vec<Query> = vertices
-            .iter()
-            .flat_map(|&(&position, &normal)| {
-                let direction = (-Vec3::from_array(normal)).to_array();
-                (0..COLOR_SAMPLES).map(move |i| {
-                    let offset = length * (i as f64 + 0.5) - 2.0 * spacing;
-                    let point = Vec3::from_array(position).as_dvec3()
-                        + offset * DVec3::from(direction.map(f64::from));
-                    Query { point: point.to_array(), radius: (0.5 * spacing) as f32, direction }
-                })
-            })
-            .collect();
-        for samples in viewer.query(&queries)?.chunks_exact(COLOR_SAMPLES) {
-            let seen = samples.iter().map(|own| (own.density * length as f32, own.rgb, 0.0));
-            let pixel = composite(seen, [0.0; 3]);
-            // Where the line of sight is not opaque, divide the colour by the opacity.
-            let fraction = pixel.opacity.max(1e-6).recip();
-            colors.push(pixel.rgb.map(|c| (c * fraction).clamp(0.0, 1.0)));
-        }
-    }
-    Ok(colors)
+/// Returns the colour of each vertex, over two cells on either side of the surface.
+fn vertex_colors(viewer: &mut dyn Viewer, mesh: &Mesh, spacing: f64) -> Result<Vec<[f32; 3]>> {
+    let vertices = mesh.positions.iter().zip(&mesh.normals);
+    let points: Vec<_> = vertices.map(|(&position, &normal)| [position, normal]).collect();
+    colors(viewer, &points, Sight { reach: 2.0 * spacing, radius: 0.5 * spacing })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::mesh::Defects;
+    use glam::DVec3;
     use std::f64::consts::PI;
     use trimip_core::{
-        Frame,
+        Frame, Query,
         engine::batch::Radiance,
         field::{
             model::OCCUPANCY,

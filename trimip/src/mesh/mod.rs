@@ -1,6 +1,7 @@
-//! Triangle meshes of a model's surface: extraction, cleaning, simplification, files, silhouettes.
+//! Triangle meshes of a model's surface: extraction, cleaning, simplification, textures, files, pictures, silhouettes.
 
 mod clean;
+mod colors;
 mod extract;
 #[cfg(test)]
 mod fixtures;
@@ -8,16 +9,20 @@ mod hidden;
 mod marching;
 mod occupied;
 mod open;
+mod pictures;
 mod seen;
 mod silhouettes;
 mod simplify;
 mod surface;
+mod texture;
 mod write;
 
 pub use clean::{Removed, clean};
 pub use extract::{Extracted, Extraction, extract};
 pub use marching::{Grid, march};
+pub use pictures::{Likeness, picture, psnr};
 pub use silhouettes::{Overlap, overlap, rasterise};
 pub use simplify::{Goal, simplify};
 pub use surface::{Defects, Mesh};
-pub use write::{Coordinates, MeshFormat, write, write_in};
+pub use texture::{SIDES, Texture, texture};
+pub use write::{Coordinates, MeshFormat, write, write_in, write_textured};

@@ -11,9 +11,17 @@ const NEAR: f64 = 1e-4;
 /// units; infinite where there is no triangle. Both sides of a triangle are drawn. A pixel centre on the edge of two
 /// triangles belongs to both.
 pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
+    let mut depths =
+        vec![f32::INFINITY; camera.intrinsics.width as usize * camera.intrinsics.height as usize];
+    rasterise_triangles(mesh, camera, |pixel, depth, _| depths[pixel] = depths[pixel].min(depth));
+    depths
+}
+
+/// Calls `visit` with each pixel whose centre a triangle covers, the distance along the optical axis to the triangle there, and the
+/// index of the triangle.
+pub(super) fn rasterise_triangles(mesh: &Mesh, camera: &Camera, mut visit: impl FnMut(usize, f32, u32)) {
     let k = camera.intrinsics;
     let (width, height) = (k.width as usize, k.height as usize);
-    let mut depths = vec![f32::INFINITY; width * height];
     let to_camera = camera.rotation.transpose();
     let seen: Vec<DVec3> = mesh
         .positions
@@ -24,7 +32,7 @@ pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
         })
         .collect();
     let near = NEAR * seen.iter().map(|p| p.z).fold(0.0, f64::max);
-    for triangle in &mesh.triangles {
+    for (index, triangle) in mesh.triangles.iter().enumerate() {
         let corners = triangle.map(|vertex| seen[vertex as usize]);
         let mut ring = Vec::with_capacity(4);
         for (i, &from) in corners.iter().enumerate() {
@@ -44,14 +52,15 @@ pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
         // Edges that a lens bends are drawn straight; triangles outside the domain of the lens are skipped.
         let Some(drawn) = ring.iter().map(place).collect::<Option<Vec<[f64; 3]>>>() else { continue };
         for i in 2..drawn.len() {
-            draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut depths);
+            draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut |pixel, depth| {
+                visit(pixel, depth, index as u32);
+            });
         }
     }
-    depths
 }
 
 /// Draws one triangle of (column, row, 1 / distance).
-fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, depths: &mut [f32]) {
+fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, visit: &mut impl FnMut(usize, f32)) {
     let cross =
         |a: [f64; 3], b: [f64; 3], x: f64, y: f64| (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
     let [a, b, c] = corners;
@@ -73,8 +82,7 @@ fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, depths: &mut [f32])
             let weights = [cross(b, c, x, y), cross(c, a, x, y), cross(a, b, x, y)].map(|w| w / area);
             if weights.iter().all(|&w| w >= 0.0) {
                 let reciprocal: f64 = weights.iter().zip(&corners).map(|(w, corner)| w * corner[2]).sum();
-                let depth = &mut depths[row * width + column];
-                *depth = depth.min(reciprocal.recip() as f32);
+                visit(row * width + column, reciprocal.recip() as f32);
             }
         }
     }

@@ -4,8 +4,9 @@
 //! vertices.
 
 use super::surface::Mesh;
+use super::texture::Texture;
 use serde_json::json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result, atomic::write_atomically};
 
 /// A format of mesh files.
@@ -35,6 +36,22 @@ impl MeshFormat {
     }
 }
 
+impl MeshFormat {
+    /// Returns the format if it has textures.
+    ///
+    /// # Errors
+    /// When it has none; `path` is the file of the message.
+    pub fn expect_textures(self, path: &Path) -> Result<Self> {
+        match self {
+            Self::Ply => Err(Error::input(path.display(), "PLY has no textures", "end it in .glb or .obj")),
+            Self::Obj | Self::Glb => Ok(self),
+        }
+    }
+}
+
+/// Name of the material in an OBJ.
+const MATERIAL: &str = "surface";
+
 /// The coordinates of a file. The two kinds differ only for a scene far from the origin of its coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coordinates {
@@ -62,15 +79,51 @@ pub fn write(mesh: &Mesh, path: &Path) -> Result<u64> {
 pub fn write_in(mesh: &Mesh, coordinates: Coordinates, path: &Path) -> Result<u64> {
     let bytes = match MeshFormat::of(path)? {
         MeshFormat::Ply => ply(mesh, coordinates),
-        MeshFormat::Obj => obj(mesh, coordinates).into_bytes(),
-        MeshFormat::Glb => glb(mesh, coordinates)?,
+        MeshFormat::Obj => obj(mesh, coordinates, None).into_bytes(),
+        MeshFormat::Glb => glb(mesh, coordinates, None)?,
     };
     write_atomically(path, &bytes)?;
     Ok(bytes.len() as u64)
 }
 
+/// Writes a mesh with its texture. A GLB contains the texture; an OBJ refers to a material file and a PNG of its name next to it.
+/// Returns the files with their sizes in bytes; the mesh is the last.
+///
+/// # Errors
+/// As [`write()`], and for a PLY, which has no textures.
+pub fn write_textured(
+    mesh: &Mesh,
+    texture: &Texture,
+    coordinates: Coordinates,
+    path: &Path,
+) -> Result<Vec<(PathBuf, u64)>> {
+    let format = MeshFormat::of(path)?.expect_textures(path)?;
+    let png = crate::view::pictures::png(texture.image.clone())?;
+    let mut files = Vec::new();
+    let mut keep = |path: PathBuf, bytes: &[u8]| {
+        write_atomically(&path, bytes)?;
+        files.push((path, bytes.len() as u64));
+        Ok::<(), Error>(())
+    };
+    match format {
+        MeshFormat::Obj => {
+            let material = path.with_extension("mtl");
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+            let picture = path.with_file_name(format!("{stem}_texture.png"));
+            let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            // Colours already contain the light of the photographs: illumination model 0 adds none.
+            let text = format!("newmtl {MATERIAL}\nillum 0\nKd 1 1 1\nmap_Kd {}\n", name(&picture));
+            keep(picture, &png)?;
+            keep(material.clone(), text.as_bytes())?;
+            keep(path.into(), obj(mesh, coordinates, Some((texture, &name(&material)))).as_bytes())?;
+        }
+        _ => keep(path.into(), &glb(mesh, coordinates, Some((texture, png)))?)?,
+    }
+    Ok(files)
+}
+
 /// Rounds a colour to 8 bits.
-fn eight_bits(color: [f32; 3]) -> [u8; 3] {
+pub(super) fn eight_bits(color: [f32; 3]) -> [u8; 3] {
     color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
 }
 
@@ -127,7 +180,8 @@ fn bytemuck_of(values: &[f32; 3]) -> impl Iterator<Item = u8> + use<> {
     values.map(f32::to_le_bytes).into_iter().flatten()
 }
 
-fn obj(mesh: &Mesh, coordinates: Coordinates) -> String {
+/// Returns the text of an OBJ. With a texture, it names the material file.
+fn obj(mesh: &Mesh, coordinates: Coordinates, texture: Option<(&Texture, &str)>) -> String {
     use std::fmt::Write as _;
     let mut text = offset(mesh, coordinates).map_or_else(String::new, |text| format!("# {text}\n"));
     let mut places = in_64_bits(mesh, coordinates);
@@ -145,12 +199,22 @@ fn obj(mesh: &Mesh, coordinates: Coordinates) -> String {
     for [x, y, z] in &mesh.normals {
         let _ = writeln!(text, "vn {x} {y} {z}");
     }
+    if let Some((texture, material)) = texture {
+        // In an OBJ, v grows upward.
+        for [u, v] in &texture.coordinates {
+            let _ = writeln!(text, "vt {u} {}", 1.0 - v);
+        }
+        let _ = writeln!(text, "mtllib {material}\nusemtl {MATERIAL}");
+    }
     for triangle in &mesh.triangles {
-        let [a, b, c] = triangle.map(|vertex| vertex + 1);
-        let _ = match mesh.normals.is_empty() {
-            true => writeln!(text, "f {a} {b} {c}"),
-            false => writeln!(text, "f {a}//{a} {b}//{b} {c}//{c}"),
+        let corner = |vertex: u32| match (texture.is_some(), !mesh.normals.is_empty()) {
+            (false, false) => format!("{vertex}"),
+            (true, false) => format!("{vertex}/{vertex}"),
+            (false, true) => format!("{vertex}//{vertex}"),
+            (true, true) => format!("{vertex}/{vertex}/{vertex}"),
         };
+        let [a, b, c] = triangle.map(|vertex| corner(vertex + 1));
+        let _ = writeln!(text, "f {a} {b} {c}");
     }
     text
 }
@@ -161,12 +225,18 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
+/// Filters and wrapping of glTF 2.0.
+const LINEAR: u32 = 9729;
+const LINEAR_MIPMAP_LINEAR: u32 = 9987;
+const CLAMP_TO_EDGE: u32 = 33071;
+
 /// Magic words of the GLB container.
 const GLB: u32 = 0x4654_6c67;
 const JSON: u32 = 0x4e4f_534a;
 const BIN: u32 = 0x004e_4942;
 
-fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
+/// Returns the bytes of a GLB. A texture comes with its PNG.
+fn glb(mesh: &Mesh, coordinates: Coordinates, texture: Option<(&Texture, Vec<u8>)>) -> Result<Vec<u8>> {
     let Some([low, high]) = mesh.bounds().filter(|_| !mesh.triangles.is_empty()) else {
         return Err(Error::run("a mesh without triangles cannot be written as glTF"));
     };
@@ -194,10 +264,22 @@ fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
         let linear: Vec<[f32; 3]> = mesh.colors.iter().map(|color| color.map(linear)).collect();
         attributes["COLOR_0"] = add(floats(&linear), ARRAY_BUFFER, vectors).into();
     }
+    if let Some((texture, _)) = &texture {
+        let coordinates = texture.coordinates.iter().flatten().flat_map(|part| part.to_le_bytes()).collect();
+        let pairs = json!({ "componentType": FLOAT, "count": count, "type": "VEC2" });
+        attributes["TEXCOORD_0"] = add(coordinates, ARRAY_BUFFER, pairs).into();
+    }
     let indices: Vec<u8> = mesh.triangles.iter().flatten().flat_map(|vertex| vertex.to_le_bytes()).collect();
     let scalars =
         json!({ "componentType": UNSIGNED_INT, "count": 3 * mesh.triangles.len(), "type": "SCALAR" });
     let indices = add(indices, ELEMENT_ARRAY_BUFFER, scalars);
+    let png = texture.map(|(_, png)| png);
+    let picture = views.len();
+    if let Some(png) = &png {
+        views.push(json!({ "buffer": 0, "byteOffset": data.len(), "byteLength": png.len() }));
+        data.extend(png);
+        data.resize(data.len().next_multiple_of(4), 0);
+    }
     let mut root = json!({
         "asset": { "version": "2.0", "generator": format!("trimip {}", env!("CARGO_PKG_VERSION")) },
         "scene": 0,
@@ -214,6 +296,14 @@ fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
         "bufferViews": views,
         "accessors": accessors,
     });
+    if png.is_some() {
+        root["images"] = json!([{ "bufferView": picture, "mimeType": "image/png" }]);
+        root["samplers"] = json!([{
+            "magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE,
+        }]);
+        root["textures"] = json!([{ "sampler": 0, "source": 0 }]);
+        root["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
+    }
     if !mesh.origin.is_zero() {
         let numbers = json!(mesh.origin.numbers());
         match coordinates {
@@ -223,7 +313,7 @@ fn glb(mesh: &Mesh, coordinates: Coordinates) -> Result<Vec<u8>> {
     }
     let mut text = serde_json::to_vec(&root).map_err(Error::run)?;
     text.resize(text.len().next_multiple_of(4), b' ');
-    // All values have four bytes, so the data need no padding.
+    // All values have four bytes and the picture is padded, so the data need no padding.
     let total = 12 + 8 + text.len() + 8 + data.len();
     let too_large = || Error::run("the mesh is larger than the 4 GiB of a GLB file; simplify it");
     let size = |length: usize| u32::try_from(length).map_err(|_| too_large());

@@ -229,7 +229,7 @@ mod tests {
         assert!(images.contains(" 1 r_0\n") && images.contains(" 1 r_1\n"), "{images}");
         let path = folder.path().join("cameras.json");
         export_cameras(&path, &all, origin).unwrap();
-        let read = crate::view::cameras::path(&path, Intrinsics::default(), origin).unwrap();
+        let read = crate::view::cameras::named_path(&path, Intrinsics::default(), origin).unwrap();
         for ((name, camera), (read_name, read)) in all.iter().zip(&read) {
             assert_eq!(
                 (name, camera.intrinsics, camera.rotation),

@@ -103,6 +103,21 @@ pub fn path(file: &Path, fallback: Intrinsics, origin: LocalOrigin) -> Result<Ve
     Ok(stated.into_iter().map(|(name, camera)| (name, origin.local(camera))).collect())
 }
 
+/// Like [`path`], but each camera has the name that its frame states as `file_path`, if it states one.
+///
+/// # Errors
+/// As [`path`].
+pub fn named_path(file: &Path, fallback: Intrinsics, origin: LocalOrigin) -> Result<Vec<Named>> {
+    let text = read(file)?;
+    let cameras = path_of(&file.display().to_string(), &text, fallback)?;
+    let json: Value = serde_json::from_str(&text).unwrap_or_default();
+    let named = cameras.into_iter().enumerate().map(|(i, (number, camera))| {
+        let stated = json["frames"][i]["file_path"].as_str().filter(|name| !name.is_empty());
+        (stated.map_or(number, String::from), origin.local(camera))
+    });
+    Ok(named.collect())
+}
+
 /// Like [`path`], from the text of the file and in its coordinates; `place` names the file in messages.
 ///
 /// # Errors

@@ -22,7 +22,7 @@ pub fn export(arguments: &CamerasArguments) -> Result<u8> {
     let out = arguments.out.clone().unwrap_or_else(beside);
     CameraFormat::of(&out)?;
     let cameras = match (&arguments.path, arguments.views) {
-        (Some(file), _) => view::cameras::path(file, Intrinsics::from_angle(800, 800, 0.7), origin)?,
+        (Some(file), _) => view::cameras::named_path(file, Intrinsics::from_angle(800, 800, 0.7), origin)?,
         (None, CameraSet::Train) => training(&arguments.model, origin)?,
         (None, CameraSet::Test) => test(&model.config)?,
         (None, CameraSet::All) => [training(&arguments.model, origin)?, test(&model.config)?].concat(),
@@ -49,7 +49,7 @@ fn training(model: &Path, origin: LocalOrigin) -> Result<Vec<Named>> {
         ));
     }
     // Every frame states its projection.
-    view::cameras::path(&path, Intrinsics::default(), origin)
+    view::cameras::named_path(&path, Intrinsics::default(), origin)
 }
 
 /// Returns the cameras of the test photographs at their finest scale, from the data set.

@@ -1,0 +1,347 @@
+//! Textures of meshes: the surface is cut into charts, which are laid out in a square image, and the field is asked for the colour of
+//! every texel.
+
+use super::colors::{Sight, colors};
+use super::surface::Mesh;
+use image::{Rgb, RgbImage};
+use trimip_core::{Error, Result, Viewer};
+use uvunwrap::{Density, MeshInput, Options, Packing};
+
+/// Texels between a chart and the border of its neighbour's padding. They get the colours of the chart, so that filtering and the
+/// first two mip levels do not mix charts.
+const PADDING: u32 = 4;
+
+/// Number of texels whose colours are computed at once.
+const TEXELS_AT_ONCE: usize = 1 << 16;
+
+/// Smallest and largest side of a texture, texels. The largest is what every WebGPU and most WebGL devices accept, doubled.
+pub const SIDES: [u32; 2] = [64, 16_384];
+
+/// A texture of a mesh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Texture {
+    /// One per vertex of the mesh: [u, v] from 0 to 1, from the upper left corner of the image to the lower right one.
+    pub coordinates: Vec<[f32; 2]>,
+    /// Square image, in the colour values of the photographs (sRGB).
+    pub image: RgbImage,
+    /// Number of charts.
+    pub charts: u32,
+    /// Fraction of the texels that show the surface.
+    pub used: f64,
+}
+
+/// Cuts a mesh into charts and computes the colours of a texture with `side` texels along each side. Returns the mesh, whose vertices
+/// on the borders of charts are duplicated, and its texture. `spacing` is the width of a cell of the grid from which the mesh was
+/// extracted. `watch` receives the share of the work done and returns false to stop; the result is then `None`.
+///
+/// # Errors
+/// When the side is out of range, the charts do not fit into the image, or the device fails.
+pub fn texture(
+    viewer: &mut dyn Viewer,
+    mesh: &Mesh,
+    spacing: f64,
+    side: u32,
+    watch: &mut dyn FnMut(f64) -> bool,
+) -> Result<Option<(Mesh, Texture)>> {
+    let [least, most] = SIDES;
+    if !(least..=most).contains(&side) {
+        let found = format!("a texture of {side} texels along each side");
+        return Err(Error::input(found, "out of range", format!("choose {least} to {most}")));
+    }
+    if !watch(0.0) {
+        return Ok(None);
+    }
+    let Unwrapped { mesh, coordinates, charts } = unwrap(mesh, side)?;
+    let texels = Texels::of(&mesh, &coordinates, side);
+    let mut image = RgbImage::new(side, side);
+    let mut covered = vec![false; (side * side) as usize];
+    let mut done = 0;
+    // A query shows detail of the width of a texel, unless the cells of the grid are finer.
+    let texel = texels.width(&mesh, &coordinates);
+    let sight = Sight { reach: 2.0 * spacing, radius: 0.5 * texel.min(spacing) };
+    let mut batch: Vec<(usize, [[f32; 3]; 2])> = Vec::with_capacity(TEXELS_AT_ONCE);
+    let mut paint = |batch: &mut Vec<(usize, [[f32; 3]; 2])>| {
+        let points: Vec<_> = batch.iter().map(|&(_, point)| point).collect();
+        for (&(index, _), color) in batch.iter().zip(colors(viewer, &points, sight)?) {
+            image.put_pixel(index as u32 % side, index as u32 / side, Rgb(super::write::eight_bits(color)));
+        }
+        batch.clear();
+        Ok::<(), Error>(())
+    };
+    for triangle in 0..mesh.triangles.len() {
+        texels.of_triangle(triangle, |index, weights| {
+            if !std::mem::replace(&mut covered[index], true) {
+                batch.push((index, place(&mesh, triangle, weights)));
+            }
+        });
+        if batch.len() >= TEXELS_AT_ONCE {
+            done += batch.len();
+            paint(&mut batch)?;
+            if !watch((done as f64 / (0.7 * f64::from(side * side))).min(0.99)) {
+                return Ok(None);
+            }
+        }
+    }
+    paint(&mut batch)?;
+    let used = covered.iter().filter(|&&covered| covered).count() as f64 / covered.len() as f64;
+    spread(&mut image, &mut covered);
+    Ok(watch(1.0).then_some((mesh, Texture { coordinates, image, charts, used })))
+}
+
+/// A mesh whose vertices on the borders of charts are duplicated, with the texture coordinates of its vertices.
+struct Unwrapped {
+    mesh: Mesh,
+    coordinates: Vec<[f32; 2]>,
+    charts: u32,
+}
+
+fn unwrap(mesh: &Mesh, side: u32) -> Result<Unwrapped> {
+    let input = MeshInput::new(&mesh.positions, mesh.triangles.as_flattened());
+    let packing = if mesh.triangles.len() > 20_000 { Packing::Fast } else { Packing::Shape };
+    let options = Options {
+        density: Density::Auto { page_size: side },
+        padding: PADDING / 2,
+        packing,
+        ..Options::default()
+    };
+    let failed = |what: &dyn std::fmt::Display| {
+        let place = format!("a texture of {side} texels along each side");
+        Error::input(place, what, "choose a larger texture, or a mesh of fewer triangles")
+    };
+    let atlas = uvunwrap::generate(&[input], &options).map_err(|error| failed(&error))?;
+    if atlas.page_count != 1 {
+        return Err(failed(&format!("{} charts do not fit", atlas.chart_count)));
+    }
+    let output = &atlas.meshes[0];
+    let of_vertex = |list: &[[f32; 3]]| match list.is_empty() {
+        true => Vec::new(),
+        false => output.vertices.iter().map(|vertex| list[vertex.xref as usize]).collect(),
+    };
+    // The page is cropped to the rows in use; the image is square.
+    let scale = [atlas.width, atlas.height].map(|part| part as f32 / side as f32);
+    let coordinates = output.vertices.iter().map(|vertex| [vertex.uv[0] * scale[0], vertex.uv[1] * scale[1]]);
+    Ok(Unwrapped {
+        mesh: Mesh {
+            positions: of_vertex(&mesh.positions),
+            origin: mesh.origin,
+            normals: of_vertex(&mesh.normals),
+            colors: Vec::new(),
+            triangles: output.indices.as_chunks().0.to_vec(),
+        },
+        coordinates: coordinates.collect(),
+        charts: atlas.chart_count,
+    })
+}
+
+/// The triangles of a mesh in its texture, in texels.
+struct Texels {
+    corners: Vec<[[f64; 2]; 3]>,
+    side: u32,
+}
+
+impl Texels {
+    fn of(mesh: &Mesh, coordinates: &[[f32; 2]], side: u32) -> Self {
+        let corner = |vertex: u32| coordinates[vertex as usize].map(|part| f64::from(part) * f64::from(side));
+        Self { corners: mesh.triangles.iter().map(|triangle| triangle.map(corner)).collect(), side }
+    }
+
+    /// Calls `visit` with the index of each texel whose centre lies in the triangle, and the weights of the triangle's corners there.
+    fn of_triangle(&self, triangle: usize, mut visit: impl FnMut(usize, [f64; 3])) {
+        let corners = self.corners[triangle];
+        let cross = |a: [f64; 2], b: [f64; 2], at: [f64; 2]| {
+            (b[0] - a[0]) * (at[1] - a[1]) - (b[1] - a[1]) * (at[0] - a[0])
+        };
+        let [a, b, c] = corners;
+        let area = cross(a, b, c);
+        if !(area.abs() > 0.0) {
+            return;
+        }
+        let span = |axis: usize| {
+            let values = corners.map(|corner| corner[axis] - 0.5);
+            let low = values.into_iter().fold(f64::INFINITY, f64::min).ceil().max(0.0) as usize;
+            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max).floor();
+            low..(high + 1.0).clamp(0.0, self.side.into()) as usize
+        };
+        for row in span(1) {
+            for column in span(0) {
+                let at = [column as f64 + 0.5, row as f64 + 0.5];
+                let weights = [cross(b, c, at), cross(c, a, at), cross(a, b, at)].map(|weight| weight / area);
+                if weights.iter().all(|&weight| weight >= 0.0) {
+                    visit(row * self.side as usize + column, weights);
+                }
+            }
+        }
+    }
+
+    /// Returns the mean width of a texel on the surface, world units.
+    fn width(&self, mesh: &Mesh, coordinates: &[[f32; 2]]) -> f64 {
+        debug_assert_eq!(mesh.positions.len(), coordinates.len());
+        let on_surface: f64 = mesh.triangles.iter().map(|&triangle| area(mesh.corners(triangle))).sum();
+        let in_texels: f64 = self.corners.iter().map(|corners| area(corners.map(|[x, y]| [x, y, 0.0]))).sum();
+        (on_surface / in_texels.max(1.0)).sqrt()
+    }
+}
+
+/// Returns the area of a triangle.
+fn area(corners: [[f64; 3]; 3]) -> f64 {
+    let [a, b, c] = corners.map(glam::DVec3::from_array);
+    0.5 * (b - a).cross(c - a).length()
+}
+
+/// Returns position and unit normal at a point of a triangle.
+fn place(mesh: &Mesh, triangle: usize, weights: [f64; 3]) -> [[f32; 3]; 2] {
+    let corners = mesh.triangles[triangle];
+    let mean = |list: &[[f32; 3]]| -> [f32; 3] {
+        std::array::from_fn(|axis| {
+            let terms = corners.iter().zip(weights);
+            terms.map(|(&corner, weight)| f64::from(list[corner as usize][axis]) * weight).sum::<f64>() as f32
+        })
+    };
+    let normal = glam::Vec3::from_array(mean(&mesh.normals)).normalize_or(glam::Vec3::Z);
+    [mean(&mesh.positions), normal.to_array()]
+}
+
+/// Gives a colour to the texels beside charts: first the mean of the neighbours that have one, [`PADDING`] times, then that of coarser
+/// and coarser squares, so that no mip level mixes a chart with another colour.
+fn spread(image: &mut RgbImage, covered: &mut [bool]) {
+    let side = image.width() as usize;
+    let mut border: Vec<usize> = Vec::new();
+    for _ in 0..PADDING {
+        border.clear();
+        border
+            .extend((0..covered.len()).filter(|&i| !covered[i] && near(side, i).any(|other| covered[other])));
+        let colors: Vec<[u8; 3]> = border
+            .iter()
+            .map(|&i| mean(near(side, i).filter(|&other| covered[other]).map(|other| texel(image, other))))
+            .collect();
+        for (&i, color) in border.iter().zip(colors) {
+            image.put_pixel((i % side) as u32, (i / side) as u32, Rgb(color));
+        }
+        border.iter().for_each(|&i| covered[i] = true);
+    }
+    let squares = coarser(side, |i| covered[i].then(|| texel(image, i)));
+    for i in 0..covered.len() {
+        if !covered[i] {
+            let (mut x, mut y, mut width) = (i % side, i / side, side);
+            let found = squares.iter().find_map(|square| {
+                (x, y, width) = (x / 2, y / 2, width.div_ceil(2));
+                square[y * width + x]
+            });
+            image.put_pixel((i % side) as u32, (i / side) as u32, Rgb(found.unwrap_or_default()));
+        }
+    }
+}
+
+/// Returns the means of the colours in squares of 2, 4, 8, … texels, up to one square; `None` for squares without a colour.
+fn coarser(side: usize, color: impl Fn(usize) -> Option<[u8; 3]>) -> Vec<Vec<Option<[u8; 3]>>> {
+    let mut levels: Vec<Vec<Option<[u8; 3]>>> = Vec::new();
+    let mut width = side;
+    while width > 1 {
+        let (finer, half) = (width, width.div_ceil(2));
+        let of = |index: usize| match levels.last() {
+            Some(level) => level[index],
+            None => color(index),
+        };
+        let square = |index: usize| {
+            let (x, y) = (2 * (index % half), 2 * (index / half));
+            let parts = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].into_iter();
+            let inside = parts.filter(|&(x, y)| x < finer && y < finer);
+            let colors: Vec<[u8; 3]> = inside.filter_map(|(x, y)| of(y * finer + x)).collect();
+            (!colors.is_empty()).then(|| mean(colors.into_iter()))
+        };
+        let level = (0..half * half).map(square).collect();
+        levels.push(level);
+        width = half;
+    }
+    levels
+}
+
+/// Returns the indices of the eight texels around texel `i`.
+fn near(side: usize, i: usize) -> impl Iterator<Item = usize> {
+    let (x, y) = ((i % side) as isize, (i / side) as isize);
+    let places = (-1..=1).flat_map(move |dy| (-1..=1).map(move |dx| (x + dx, y + dy)));
+    let inside = move |part: isize| (0..side as isize).contains(&part);
+    places
+        .filter(move |&(column, row)| inside(column) && inside(row) && (column, row) != (x, y))
+        .map(move |(column, row)| row as usize * side + column as usize)
+}
+
+fn texel(image: &RgbImage, i: usize) -> [u8; 3] {
+    image.get_pixel(i as u32 % image.width(), i as u32 / image.width()).0
+}
+
+/// Returns the mean of colours, rounded; black if there is none.
+fn mean(colors: impl Iterator<Item = [u8; 3]>) -> [u8; 3] {
+    let (mut sums, mut count) = ([0_u32; 3], 0);
+    for color in colors {
+        sums.iter_mut().zip(color).for_each(|(sum, part)| *sum += u32::from(part));
+        count += 1;
+    }
+    sums.map(|sum| ((sum + count / 2) / count.max(1)) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::fixtures::cube;
+
+    #[test]
+    fn charts_cover_the_mesh_once_and_have_room_around_them() {
+        let mut mesh = cube();
+        mesh.find_normals();
+        let side = 128;
+        let Unwrapped { mesh: cut, coordinates, charts } = unwrap(&mesh, side).unwrap();
+        assert!(charts >= 1 && cut.triangles.len() == mesh.triangles.len());
+        for (own, cut_triangle) in mesh.triangles.iter().zip(&cut.triangles) {
+            assert_eq!(mesh.corners(*own), cut.corners(*cut_triangle));
+        }
+        assert!(coordinates.iter().flatten().all(|part| (0.0..=1.0).contains(part)));
+        // No texel belongs to two triangles, except along their common edges.
+        let texels = Texels::of(&cut, &coordinates, side);
+        let mut times = vec![0_u32; (side * side) as usize];
+        let edge = 1e-6;
+        for triangle in 0..cut.triangles.len() {
+            texels.of_triangle(triangle, |index, weights| {
+                times[index] += u32::from(weights.iter().all(|&weight| weight > edge));
+            });
+        }
+        assert!(times.iter().all(|&count| count <= 1));
+        let covered = f64::from(times.iter().sum::<u32>());
+        assert!(covered > 0.3 * f64::from(side * side), "{covered} texels");
+        // The cube has a surface of 6, so a texel is sqrt(6 / covered) wide.
+        assert!((texels.width(&cut, &coordinates) / (6.0 / covered).sqrt() - 1.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn positions_in_the_texture_are_those_of_the_surface() {
+        let mut mesh = cube();
+        mesh.find_normals();
+        let Unwrapped { mesh, coordinates, .. } = unwrap(&mesh, 64).unwrap();
+        let texels = Texels::of(&mesh, &coordinates, 64);
+        for triangle in 0..mesh.triangles.len() {
+            texels.of_triangle(triangle, |_, weights| {
+                let [position, normal] = place(&mesh, triangle, weights);
+                // A point of the unit cube's surface has a coordinate of 0 or 1.
+                assert!(position.iter().any(|x| x.abs() < 1e-6 || (x - 1.0).abs() < 1e-6), "{position:?}");
+                assert!((glam::Vec3::from_array(normal).length() - 1.0).abs() < 1e-6);
+            });
+        }
+    }
+
+    #[test]
+    fn colours_spread_to_every_texel_and_keep_those_of_charts() {
+        let mut image = RgbImage::new(64, 64);
+        let mut covered = vec![false; 64 * 64];
+        for (x, color) in [(10, [200, 0, 0]), (50, [0, 100, 0])] {
+            image.put_pixel(x, 20, Rgb(color));
+            covered[20 * 64 + x as usize] = true;
+        }
+        spread(&mut image, &mut covered);
+        assert_eq!((image.get_pixel(10, 20).0, image.get_pixel(50, 20).0), ([200, 0, 0], [0, 100, 0]));
+        for distance in 1..=PADDING {
+            assert_eq!(image.get_pixel(10 + distance, 20).0, [200, 0, 0], "{distance} texels away");
+        }
+        assert!(image.pixels().all(|pixel| pixel.0 != [0; 3]));
+        assert_eq!(mean([[1, 2, 3], [2, 2, 4]].into_iter()), [2, 2, 4]);
+    }
+}
