@@ -22,4 +22,5 @@ mod run_folder;
 mod scene_plan;
 mod signals;
 mod view;
+mod viewer_example;
 mod web;

@@ -1,9 +1,5 @@
 //! Checks of the verb `view`: access control, answers to requests, and the page in a real browser.
 
-#[allow(dead_code)]
-#[path = "../../trimip-view/examples/viewer.rs"]
-mod viewer;
-
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -85,19 +81,6 @@ fn only_who_knows_the_token_and_comes_from_the_page_may_enter() {
     assert_eq!(shown.join(&token, Some("null")).err(), Some(403));
     enter(&shown);
     assert!(shown.lives());
-}
-
-#[test]
-fn the_example_of_the_crate_serves_the_page() {
-    let folder = tempfile::tempdir().unwrap();
-    trained(folder.path());
-    let server = viewer::open(&folder.path().join("run")).unwrap();
-    let (host, path) = server.address.strip_prefix("http://").unwrap().split_once('/').unwrap();
-    let mut stream = TcpStream::connect(host).unwrap();
-    write!(stream, "GET /{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    assert!(answer.starts_with("HTTP/1.1 200") && answer.contains("<canvas"), "{answer}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! `paper.json`: the comparison for programs. PSNR in dB, sizes in bytes, times in seconds; unknown values are `null`.
 
-use super::Comparison;
+use super::content::Comparison;
 use serde_json::{Value, json};
 use trimip::systems::published::{CONVENTION, PUBLISHED, REMARKS};
 use trimip_core::{Error, Result};

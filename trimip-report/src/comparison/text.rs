@@ -1,6 +1,6 @@
 //! The tables as text: their columns, for the page and the terminal, `paper.md` and `paper.tex`.
 
-use super::Comparison;
+use super::content::Comparison;
 use super::means::TableRow;
 use super::runs::{Scales, Status};
 use trimip::formatting;

@@ -18,6 +18,11 @@ pub struct Sight {
     pub radius: f64,
 }
 
+/// Rounds a colour to 8 bits.
+pub fn eight_bits(color: [f32; 3]) -> [u8; 3] {
+    color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
+}
+
 /// Returns the colour of each point, as seen against its normal, by volume rendering along a line of sight. A point is a
 /// position and a unit normal.
 pub fn colors(viewer: &mut dyn Viewer, points: &[[[f32; 3]; 2]], sight: Sight) -> Result<Vec<[f32; 3]>> {

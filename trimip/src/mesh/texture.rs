@@ -1,7 +1,7 @@
 //! Textures of meshes: the surface is cut into charts, which are laid out in a square image, and the field is asked for the colour of
 //! every texel.
 
-use super::colors::{Sight, colors};
+use super::colors::{Sight, colors, eight_bits};
 use super::surface::Mesh;
 use image::{Rgb, RgbImage};
 use trimip_core::{Error, Result, Viewer};
@@ -63,7 +63,7 @@ pub fn texture(
     let mut paint = |batch: &mut Vec<(usize, [[f32; 3]; 2])>| {
         let points: Vec<_> = batch.iter().map(|&(_, point)| point).collect();
         for (&(index, _), color) in batch.iter().zip(colors(viewer, &points, sight)?) {
-            image.put_pixel(index as u32 % side, index as u32 / side, Rgb(super::write::eight_bits(color)));
+            image.put_pixel(index as u32 % side, index as u32 / side, Rgb(eight_bits(color)));
         }
         batch.clear();
         Ok::<(), Error>(())

@@ -3,6 +3,7 @@
 //! the coordinates need 64 bits: a PLY file then stores doubles, an OBJ file all digits, and a GLB file a node that translates the
 //! vertices.
 
+use super::colors::eight_bits;
 use super::surface::Mesh;
 use super::texture::Texture;
 use serde_json::json;
@@ -120,11 +121,6 @@ pub fn write_textured(
         _ => keep(path.into(), &glb(mesh, coordinates, Some((texture, png)))?)?,
     }
     Ok(files)
-}
-
-/// Rounds a colour to 8 bits.
-pub(super) fn eight_bits(color: [f32; 3]) -> [u8; 3] {
-    color.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
 }
 
 /// Returns the comment that states the offset of a file in local coordinates, without the format's comment marker.
