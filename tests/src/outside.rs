@@ -1,5 +1,5 @@
-//! Loss terms of a crate outside of the workspace: the square of a pixel's opacity, and the sum of the squared optical depths of a
-//! ray's samples.
+//! Loss terms of a crate outside of the workspace: the square of a pixel's opacity, and the sum of the opacities 1 − exp(−x) of a
+//! ray's samples with optical depths x.
 
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ impl Section for Outside {
 [outside]
 section = { meaning = "loss terms of another crate" }
 opacity = { default = 0.0, range = [0, 1], meaning = "weight of the squared opacity of a pixel" }
-depth = { default = 0.0, range = [0, 1], meaning = "weight of the squared optical depths of a ray" }
+depth = { default = 0.0, range = [0, 1], meaning = "weight of the opacities of the samples of a ray" }
 "#,
     }];
     const ADDITION: Option<Addition> = Some(addition::<Self>());
@@ -34,7 +34,7 @@ impl LossSection for Outside {
     fn terms(&self) -> Vec<Term> {
         vec![
             Term::Pixel(Arc::new(SquaredOpacity(self.opacity))),
-            Term::Ray(Arc::new(SquaredDepths(self.depth))),
+            Term::Ray(Arc::new(SampleOpacities(self.depth))),
         ]
     }
 }
@@ -70,12 +70,12 @@ impl PixelTerm for SquaredOpacity {
     }
 }
 
-/// Sum of the squared optical depths of a ray's samples. Holds its weight.
-pub struct SquaredDepths(pub f32);
+/// Sum of the opacities of a ray's samples. Holds its weight.
+pub struct SampleOpacities(pub f32);
 
-impl Definition for SquaredDepths {
+impl Definition for SampleOpacities {
     fn name(&self) -> &'static str {
-        "squared_depths"
+        "sample_opacities"
     }
 
     fn weight(&self, _: &LossConfig) -> f32 {
@@ -83,16 +83,16 @@ impl Definition for SquaredDepths {
     }
 }
 
-impl RayTerm for SquaredDepths {
+impl RayTerm for SampleOpacities {
     fn evaluate(&self, _: &LossConfig, cone: &ConeSamples<'_, f32>, by_depth: &mut [f32]) -> f32 {
         for (by_depth, sample) in by_depth.iter_mut().zip(cone.samples) {
-            *by_depth += 2.0 * sample.depth;
+            *by_depth += (-sample.depth).exp();
         }
-        cone.samples.iter().map(|sample| sample.depth * sample.depth).sum()
+        cone.samples.iter().map(|sample| -(-sample.depth).exp_m1()).sum()
     }
 
     fn reference(&self, _: &LossConfig, cone: &ConeSamples<'_, f64>) -> f64 {
-        cone.samples.iter().map(|sample| sample.depth.powi(2)).sum()
+        cone.samples.iter().map(|sample| -(-sample.depth).exp_m1()).sum()
     }
 }
 
@@ -101,7 +101,7 @@ impl RayTerm for SquaredDepths {
 /// # Panics
 /// If the configuration refuses the section.
 pub fn examples(base: &Config) -> [(&'static str, Config); 2] {
-    [("squared_opacity", [0.3, 0.0]), ("squared_depths", [0.0, 0.2])].map(|(name, [opacity, depth])| {
+    [("squared_opacity", [0.3, 0.0]), ("sample_opacities", [0.0, 0.2])].map(|(name, [opacity, depth])| {
         let mut config = base.clone();
         config.change::<Outside>(|own| *own = Outside { opacity, depth }).expect("weights in their ranges");
         (name, config)

@@ -150,7 +150,7 @@ fn gradients_of_every_term_of_the_loss_are_finite_differences() {
 fn terms_of_another_crate_are_part_of_the_loss() {
     let config = Config::default().loss;
     verify::pixel_term(&outside::SquaredOpacity(1.0), &config).unwrap();
-    verify::ray_term(&outside::SquaredDepths(1.0), &config).unwrap();
+    verify::ray_term(&outside::SampleOpacities(1.0), &config).unwrap();
     let examples = outside::examples(&fixtures::small());
     on_every_cpu(|make| suite::losses::as_written(make, &examples));
     with_threads(&[2], |make| suite::losses::finite_differences(make, &examples));

@@ -243,7 +243,7 @@ fn exported_cameras_are_read_again_from_every_format() {
     // Test cameras, both, a path, and what is refused.
     let count = |arguments: &[&str], expected: &str| {
         let answer = run(here, &[&["export", "cameras", "run"], arguments].concat());
-        assert!(answer.code == Some(0) && answer.err.contains(expected), "{arguments:?}: {answer:?}");
+        assert!(answer.code == Some(0) && answer.out.contains(expected), "{arguments:?}: {answer:?}");
     };
     count(&["--views", "test", "--out", "test.json"], "2 cameras");
     count(&["--views", "all", "--out", "all.gltf"], "11 cameras");
@@ -318,15 +318,14 @@ fn a_texture_belongs_to_its_mesh_in_both_formats() {
     }
     assert_eq!(8 * count, coordinates.len());
 
+    let finer =
+        ["--resolution", "100", "--triangles", "0", "--level", "0.3", "--specks", "0", "--seen-by", "0"];
     for (arguments, expected) in [
         (&["--texture", "128", "--out", "other.ply"][..], "PLY has no textures"),
-        (
-            &["--texture", "64", "--triangles", "100000", "--resolution", "100", "--out", "other.glb"],
-            "texels along each side",
-        ),
+        (&[&finer[..], &["--texture", "64", "--out", "other.glb"]].concat(), "charts do not fit"),
         (&["--texture", "32", "--out", "other.glb"], "32"),
     ] {
-        let answer = export(arguments);
+        let answer = run(here, &[&["export", "mesh", "run"], arguments].concat());
         assert!(answer.code == Some(2) && answer.err.contains(expected), "{arguments:?}: {}", answer.err);
     }
     assert!(!here.join("other.glb").exists() && !here.join("other.ply").exists());

@@ -4,12 +4,15 @@
 use super::colors::{Sight, colors, eight_bits};
 use super::surface::Mesh;
 use image::{Rgb, RgbImage};
-use trimip_core::{Error, Result, Viewer};
+use trimip_core::{Error, Result, Viewer, memory::available_memory};
 use uvunwrap::{Density, MeshInput, Options, Packing};
 
 /// Texels between a chart and the border of its neighbour's padding. They get the colours of the chart, so that filtering and the
 /// first two mip levels do not mix charts.
 const PADDING: u32 = 4;
+
+/// Memory that a texel takes while the texture is made and written, bytes.
+const BYTES_OF_A_TEXEL: u64 = 12;
 
 /// Number of texels whose colours are computed at once.
 const TEXELS_AT_ONCE: usize = 1 << 16;
@@ -35,7 +38,7 @@ pub struct Texture {
 /// extracted. `watch` receives the share of the work done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
-/// When the side is out of range, the charts do not fit into the image, or the device fails.
+/// When the side is out of range, the memory or the image is too small for the texture, or the device fails.
 pub fn texture(
     viewer: &mut dyn Viewer,
     mesh: &Mesh,
@@ -47,6 +50,16 @@ pub fn texture(
     if !(least..=most).contains(&side) {
         let found = format!("a texture of {side} texels along each side");
         return Err(Error::input(found, "out of range", format!("choose {least} to {most}")));
+    }
+    let needed = BYTES_OF_A_TEXEL * u64::from(side) * u64::from(side);
+    if let Some(available) = available_memory().filter(|&available| available < needed) {
+        let [needed, available] = [needed, available].map(|bytes| 1e-9 * bytes as f64);
+        let found = format!("takes {needed:.1} GB, but only {available:.1} GB are available");
+        return Err(Error::input(
+            format!("a texture of {side} texels along each side"),
+            found,
+            "choose a smaller one",
+        ));
     }
     if !watch(0.0) {
         return Ok(None);
