@@ -64,7 +64,7 @@ fn a_written_set_replaces_nothing_and_one_that_was_stopped_is_made_again() {
         for name in order[missing..].iter().chain(&["transforms_train.json"]) {
             let _ = fs::remove_file(here.join("scene").join(name));
         }
-        fs::write(here.join("scene/transforms_train.json.tmp"), "{").unwrap();
+        fs::write(here.join("scene/transforms_train.json.trimip.tmp"), "{").unwrap();
         done(here, &builtin);
         assert!(files(here) == whole, "without {}", order[missing]);
     }

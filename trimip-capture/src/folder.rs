@@ -287,8 +287,9 @@ fn remove(path: &Path) -> Result<()> {
 /// Returns true if the path is not a folder, or if the folder holds files that no capture left. A capture that was killed at its start
 /// leaves an empty folder, its lock, or the temporary file of its mark.
 fn is_others(root: &Path) -> bool {
-    let own =
-        |name: &std::ffi::OsStr| [LOCK, "capture.json.tmp", "capture.json"].iter().any(|own| name == *own);
+    let own = |name: &std::ffi::OsStr| {
+        [LOCK, "capture.json.trimip.tmp", "capture.json"].iter().any(|own| name == *own)
+    };
     match root.read_dir() {
         Ok(mut entries) => entries.any(|entry| entry.is_ok_and(|entry| !own(&entry.file_name()))),
         Err(error) => error.kind() != io::ErrorKind::NotFound,
@@ -336,7 +337,7 @@ mod tests {
         fs::write(root.join("other"), "").unwrap();
         assert!(refused(&walk).unwrap().contains("no capture wrote"));
         fs::remove_file(root.join("other")).unwrap();
-        fs::write(root.join("capture.json.tmp"), "{").unwrap();
+        fs::write(root.join("capture.json.trimip.tmp"), "{").unwrap();
         let first = Folder::open(&root, &walk).unwrap();
         assert!(refused(&walk).unwrap().contains("another process"));
         drop(first);

@@ -7,9 +7,6 @@ use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Number of temporary names that are tried for a file.
-const NAMES: usize = 100;
-
 /// Number of attempts to rename a file that another program has open, and the time between them.
 const ATTEMPTS: (u32, Duration) = (20, Duration::from_millis(50));
 
@@ -21,16 +18,15 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     replace_atomically(path, |file| file.write_all(bytes))
 }
 
-/// Returns the first temporary name of `path` while it is written: `path` with `.tmp` appended. Only a killed process leaves
-/// this file behind.
+/// Returns the temporary name of a folder while it is filled: `path` with `.tmp` appended.
 pub fn temporary(path: &Path) -> PathBuf {
     named(path, ".tmp")
 }
 
-/// Returns all temporary names of `path`, in the order in which they are tried: `.tmp`, `.1.tmp`, `.2.tmp`, … appended.
-pub fn temporaries(path: &Path) -> impl Iterator<Item = PathBuf> + '_ {
-    let others = (1..NAMES).map(|i| named(path, &format!(".{i}.tmp")));
-    std::iter::once(temporary(path)).chain(others)
+/// Returns the temporary name of a file while it is written: `path` with `.trimip.tmp` appended. Only a killed process leaves this
+/// file behind, and the next one replaces it.
+pub fn temporary_file(path: &Path) -> PathBuf {
+    named(path, ".trimip.tmp")
 }
 
 fn named(path: &Path, ending: &str) -> PathBuf {
@@ -40,8 +36,7 @@ fn named(path: &Path, ending: &str) -> PathBuf {
 }
 
 /// Lets `fill` write a temporary file next to `path`, flushes it to disk, renames it to `path` and flushes the folder.
-/// On failure the old file stays unchanged, and the temporary file is removed. A file that has the temporary name already
-/// stays as it is: another name is used.
+/// On failure the old file stays unchanged, and the temporary file is removed.
 pub(crate) fn replace_atomically<T>(
     path: &Path,
     fill: impl FnOnce(&mut File) -> std::io::Result<T>,
@@ -53,7 +48,8 @@ pub(crate) fn replace_atomically<T>(
         };
         Error::input(path.display(), format!("cannot write: {error}"), advice)
     };
-    let (mut file, temporary) = new_file(path).map_err(failed)?;
+    let temporary = temporary_file(path);
+    let mut file = new_file(&temporary).map_err(failed)?;
     let write = || {
         let result = fill(&mut file)?;
         file.sync_all()?;
@@ -70,15 +66,16 @@ pub(crate) fn replace_atomically<T>(
     Ok(result)
 }
 
-/// Creates a file with a temporary name of `path` that no file or link has.
-fn new_file(path: &Path) -> std::io::Result<(File, PathBuf)> {
-    for name in temporaries(path) {
-        match File::options().write(true).create_new(true).open(&name) {
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            result => return result.map(|file| (file, name)),
+/// Creates a file in place of one that a killed process has left behind. A link of this name is replaced, not followed.
+fn new_file(path: &Path) -> std::io::Result<File> {
+    let create = || File::options().write(true).create_new(true).open(path);
+    match create() {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            std::fs::remove_file(path)?;
+            create()
         }
+        result => result,
     }
-    Err(ErrorKind::AlreadyExists.into())
 }
 
 /// Renames a file. If another program has the target open, tries again for a second.
@@ -127,18 +124,15 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_the_temporary_name_stays() {
+    fn a_file_of_the_user_stays_and_that_of_a_killed_process_is_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("file");
         std::fs::write(temporary(&path), "the user's").unwrap();
+        std::fs::write(temporary_file(&path), "half of the ne").unwrap();
         write_atomically(&path, b"new").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"new");
         assert_eq!(std::fs::read(temporary(&path)).unwrap(), b"the user's");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
-        // If all names are taken, nothing is written.
-        temporaries(&path).for_each(|name| std::fs::write(name, "").unwrap());
-        assert!(write_atomically(&path, b"newer").unwrap_err().message().contains("cannot write"));
-        assert_eq!(std::fs::read(&path).unwrap(), b"new");
     }
 
     #[cfg(unix)]
@@ -147,7 +141,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let (path, target) = (folder.path().join("file"), folder.path().join("target"));
         std::fs::write(&target, "old").unwrap();
-        std::os::unix::fs::symlink(&target, temporary(&path)).unwrap();
+        std::os::unix::fs::symlink(&target, temporary_file(&path)).unwrap();
         write_atomically(&path, b"new").unwrap();
         assert_eq!(std::fs::read(&target).unwrap(), b"old");
         assert_eq!(std::fs::read(&path).unwrap(), b"new");
@@ -163,7 +157,7 @@ mod tests {
         replace_atomically(&path, |_| {
             let names: Vec<_> =
                 std::fs::read_dir(folder.path())?.flatten().map(|entry| entry.path()).collect();
-            assert_eq!(names, [temporary(&path)]);
+            assert_eq!(names, [temporary_file(&path)]);
             Ok(())
         })
         .unwrap();

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use trimip_core::{
     Advice, Config, Error, Result,
-    atomic::{temporaries, write_atomically},
+    atomic::{temporary_file, write_atomically},
     engine::{checkpoint::Checkpoint, events::Event},
     field::model::Model,
     plain_file,
@@ -247,11 +247,9 @@ impl RunFolder {
         let entries = std::fs::read_dir(self.images()).into_iter().flatten().flatten();
         let half = entries.map(|entry| entry.path()).filter(|path| {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let Some(name) = name.strip_suffix(".tmp") else { return false };
-            is_picture(name) || name.rsplit_once('.').is_some_and(|(name, _)| is_picture(name))
+            name.strip_suffix(".trimip.tmp").is_some_and(is_picture)
         });
-        let files = self.files();
-        for path in files.iter().flat_map(|path| temporaries(path)).chain(half) {
+        for path in self.files().iter().map(|path| temporary_file(path)).chain(half) {
             // A file that cannot be removed only takes space.
             let _ = std::fs::remove_file(path);
         }
@@ -452,8 +450,8 @@ mod tests {
         let (_keep, folder) = folder();
         folder.prepare_images().unwrap();
         let picture = folder.images().join(format!("{}.png", picture_stem(3, "r_3", 1)));
-        let files: Vec<_> = folder.files().into_iter().chain([picture]).collect();
-        let half: Vec<_> = files.iter().flat_map(|path| temporaries(path).take(2)).collect();
+        let files = folder.files().into_iter().chain([picture]);
+        let half: Vec<_> = files.map(|path| temporary_file(&path)).collect();
         let theirs = [folder.root().join("notes.tmp"), folder.images().join("r_3.png.tmp")];
         half.iter().chain(&theirs).for_each(|path| std::fs::write(path, "x").unwrap());
         folder.sweep();

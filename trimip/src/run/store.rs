@@ -315,7 +315,7 @@ mod tests {
         for letter in ["n", "é", "視"] {
             let name = letter.repeat(251 / letter.len());
             let stem = picture_stem(usize::MAX, &file_stem(&format!("{name}.png")), u32::MAX);
-            assert!(format!("{stem}{COMPARISON}.png.tmp").len() <= 255, "{stem}");
+            assert!(format!("{stem}{COMPARISON}.png.trimip.tmp").len() <= 255, "{stem}");
             assert!(name.starts_with(&file_stem(&name)) && file_stem(&name).len() > LONGEST - letter.len());
         }
     }
