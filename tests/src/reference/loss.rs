@@ -2,6 +2,8 @@
 
 use super::contraction;
 use super::sample::Sample;
+use std::cell::RefCell;
+use std::rc::Rc;
 use trimip_core::{
     Config,
     config::Contraction,
@@ -47,16 +49,16 @@ pub fn of_pixel(config: &Config, pixel: [f64; 4], target: &Target, gains: [f64; 
     }
     let term = loss.photometric.term();
     let channel = |c: usize| term.reference(loss, compared[c] - f64::from(target.rgb[c]));
-    let terms = Terms::of(config).unwrap().pixel;
-    let others = terms.iter().map(|term| weight(&**term, config) * term.reference(loss, pixel, target));
+    let terms = terms(config);
+    let others = terms.pixel.iter().map(|term| weight(&**term, config) * term.reference(loss, pixel, target));
     (0..3).map(channel).sum::<f64>() / 3.0 + others.sum::<f64>()
 }
 
 /// Returns the ray terms of a pixel: their mean over the pixel's cones, without the weight of the pixel's area. A cone without
 /// samples counts as zero.
 pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>]) -> f64 {
-    let terms = Terms::of(config).unwrap().ray;
-    let at_work = terms.iter().filter(|term| weight(&***term, config) > 0.0);
+    let terms = terms(config);
+    let at_work = terms.ray.iter().filter(|term| weight(&***term, config) > 0.0);
     let of = |term: &Held<dyn RayTerm>| {
         let cone = |samples: &Vec<_>| term.reference(&config.loss, &ConeSamples { target, samples });
         let seen = cones.iter().filter(|samples| !samples.is_empty());
@@ -67,7 +69,24 @@ pub fn of_cones(config: &Config, target: &Target, cones: &[Vec<RaySample<f64>>])
 
 /// Returns true if a ray term is enabled.
 pub fn has_ray_terms(config: &Config) -> bool {
-    Terms::of(config).unwrap().ray.iter().any(|term| weight(&**term, config) > 0.0)
+    terms(config).ray.iter().any(|term| weight(&**term, config) > 0.0)
+}
+
+thread_local! {
+    /// The last configuration and its terms: reading the sections of other crates takes longer than a pixel.
+    static LAST: RefCell<Option<(Config, Rc<Terms>)>> = const { RefCell::new(None) };
+}
+
+/// Returns the terms of a configuration.
+fn terms(config: &Config) -> Rc<Terms> {
+    LAST.with_borrow_mut(|last| match last {
+        Some((own, terms)) if own == config => Rc::clone(terms),
+        _ => {
+            let terms = Rc::new(Terms::of(config).unwrap());
+            *last = Some((config.clone(), Rc::clone(&terms)));
+            terms
+        }
+    })
 }
 
 fn weight<T: Definition + ?Sized>(term: &T, config: &Config) -> f64 {
