@@ -154,7 +154,7 @@ def test_ctrl_c_stops_a_capture_and_its_programs(keyboard, model, tmp_path, monk
 def test_the_readme_shows_a_function_that_runs(cli, tmp_path):
     readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
     shown = readme.split("```python\n")[1].split("```")[0]
-    small = ["--set", "data.builtin_size=16", "--set", "data.builtin_train=4", "--set", "data.builtin_test=2"]
+    small = ["--set", "data.builtin_size=32", "--set", "data.builtin_train=16", "--set", "data.builtin_test=2"]
     scene = tmp_path / "scene"
     answer = cli("data", "builtin", scene, *small)
     assert answer.returncode == 0, answer.stderr
