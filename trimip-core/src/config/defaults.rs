@@ -37,12 +37,12 @@ pub struct ForeignSection {
     pub fragments: &'static [Fragment],
     /// Checks the values of the section, given as a table.
     pub(crate) check: fn(&Table, &Checker<'_>) -> Result<()>,
-    /// What the section adds to another room of core.
+    /// Addition to another top-level module of core, such as loss terms.
     pub(crate) addition: Option<Addition>,
 }
 
-/// What a section adds to another room of core, which knows its type. [`losses::addition`](crate::field::losses::addition) makes
-/// one for loss terms.
+/// Addition of a section to another top-level module of core. Only that module knows its type.
+/// [`losses::addition`](crate::field::losses::addition) makes one for loss terms.
 #[derive(Clone, Copy)]
 pub struct Addition(pub(crate) &'static (dyn Any + Send + Sync));
 

@@ -43,7 +43,7 @@ pub trait Section: Serialize + DeserializeOwned {
     const NAME: &'static str;
     /// Settings that the crate adds to the section, in order.
     const FRAGMENTS: &'static [Fragment];
-    /// What the section adds to other parts of the program, such as
+    /// Addition of the section to another part of the program, such as
     /// [loss terms](crate::field::losses::LossSection).
     const ADDITION: Option<Addition> = None;
 
