@@ -94,11 +94,11 @@ mod tests {
     use trimip_core::geometry::projections::Model;
 
     fn read(texts: &Texts) -> Vec<Camera> {
-        let file = |name, text: &'static str| File { name, bytes: text.as_bytes() };
-        let [cameras, images] = [&texts.cameras, &texts.images].map(|text| &*text.clone().leak());
+        let [cameras, images] = [("cameras.txt", &texts.cameras), ("images.txt", &texts.images)]
+            .map(|(name, text)| File { name, bytes: text.as_bytes() });
         let model = ColmapModel {
-            cameras: text::cameras(file("cameras.txt", cameras)).unwrap(),
-            images: text::images(file("images.txt", images)).unwrap(),
+            cameras: text::cameras(cameras).unwrap(),
+            images: text::images(images).unwrap(),
             points: Vec::new(),
         };
         model.cameras_of_images("images.txt").unwrap()
