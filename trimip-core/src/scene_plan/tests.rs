@@ -428,7 +428,7 @@ fn places_have_a_hash_grid_unless_an_encoder_is_given() {
         assert_eq!(config.renderer.step_scale.at(1.0), 0.5);
     }
     let (bounded, _) = of(true, &["train.samples_per_step=65536", "train.steps=2000"]);
-    assert_eq!(bounded.renderer.step_scale.at(1.0), 2.0);
+    assert_eq!(bounded.renderer.step_scale.at(1.0), 1.0);
 }
 
 /// Checks that a resumed run adopts the decisions of its start from their record.
@@ -477,7 +477,8 @@ fn networks_and_steps_follow_the_budget() {
     let steps = of(&["train.steps=100", "train.samples_per_step=4096"]);
     assert_eq!((steps.train.samples_per_step, steps.field.hidden), (4096, 32));
     let small = of(&["train.seconds=1"]).train.samples_per_step;
-    assert!((4096..32_768).contains(&small), "{small}");
+    assert!((4096..16_384).contains(&small), "{small}");
+    assert_eq!(of(&["train.seconds=300"]).train.samples_per_step, 16_384, "an object");
 }
 
 #[test]
