@@ -276,10 +276,14 @@ impl Field<CpuBackend> for CpuField {
     ) {
         let (rays, samples) = (tile.rays, tile.samples);
         let Context { density, color, lit, directions, shape, .. } = context;
-        lit.choose(samples, radiance, least);
+        let width = self.density.outputs();
+        let deferred = self.policy.settings.deferred;
+        match deferred {
+            true => lit.choose_rays(samples, radiance, least, density.output(), width),
+            false => lit.choose(samples, radiance, least),
+        }
         let rows = lit.count(samples.spheres.len());
-        if lit.listed {
-            let width = self.density.outputs();
+        if lit.listed && !deferred {
             lit.outputs.gather_rows(density.output(), &lit.rows, width, padded(rows));
         }
         if self.view > 0 {
@@ -293,8 +297,8 @@ impl Field<CpuBackend> for CpuField {
         self.color.forward(batch, color);
         let logits = color.output().chunks_exact(self.color.outputs());
         for (i, logits) in logits.take(rows).enumerate() {
-            radiance[lit.row(i)].rgb =
-                [0, 1, 2].map(|c| self.policy.color_activation.value(logits[self.red + c]));
+            let rgb = [0, 1, 2].map(|c| self.policy.color_activation.value(logits[self.red + c]));
+            radiance[lit.samples(i, samples)].iter_mut().for_each(|own| own.rgb = rgb);
         }
     }
 
@@ -350,7 +354,8 @@ impl Field<CpuBackend> for CpuField {
         context: &mut Context,
         gradient: &mut FieldGradient,
     ) {
-        let (simd, rows) = (self.simd, tile.samples.spheres.len());
+        let samples = tile.samples;
+        let (simd, rows) = (self.simd, samples.spheres.len());
         let FieldBackward { features, radiance, radiance_gradients, feature_gradients } = arrays;
         let Context {
             density,
@@ -367,10 +372,11 @@ impl Field<CpuBackend> for CpuField {
         color_gradient.resize(padded(count) * width);
         color_gradient.fill(0.0);
         for (i, out) in color_gradient.chunks_exact_mut(width).take(count).enumerate() {
-            let row = lit.row(i);
-            let (value, by_value) = (radiance[row].rgb, radiance_gradients[row].rgb);
+            let own = lit.samples(i, samples);
+            let value = radiance[own.start].rgb;
             for c in 0..3 {
-                out[self.red + c] = by_value[c] * self.policy.color_activation.derivative(value[c]);
+                let by_value: f32 = radiance_gradients[own.clone()].iter().map(|own| own.rgb[c]).sum();
+                out[self.red + c] = by_value * self.policy.color_activation.derivative(value[c]);
             }
         }
         let mut by_listed = std::mem::replace(&mut lit.gradient, Buffer::zeros(0));
@@ -397,17 +403,34 @@ impl Field<CpuBackend> for CpuField {
             let shapes = shape.chunks_exact(self.shape).zip(shape_gradient.chunks_exact_mut(self.shape));
             for (i, (shape, by_shape)) in shapes.take(count).enumerate() {
                 pull_frequencies(shape, by_shape, values, frequencies);
-                output_gradient[lit.row(i) * width + 1..][..values].copy_from_slice(&by_shape[..values]);
+                if !lit.of_rays {
+                    output_gradient[lit.row(i) * width + 1..][..values].copy_from_slice(&by_shape[..values]);
+                }
             }
-        } else if lit.listed {
+        } else if lit.listed && !lit.of_rays {
             for (own, row) in by_listed.chunks_exact(width).zip(&lit.rows) {
                 output_gradient[*row as usize * width..][..width].copy_from_slice(own);
             }
         }
+        if lit.of_rays {
+            let (by_rows, distance, first) = match self.shape {
+                0 => (&by_listed, width, 1),
+                shape => (&*shape_gradient, shape, 0),
+            };
+            lit.clear_depths(rows);
+            for i in 0..count {
+                let by_mean = &by_rows[i * distance + first..][..self.policy.geometry];
+                let outputs = (&density.output()[..], &mut output_gradient[..], width);
+                lit.spread(i, lit.samples(i, samples), (samples, radiance), by_mean, outputs);
+            }
+        }
         lit.gradient = by_listed;
         let outputs = density.output().chunks_exact(width).zip(radiance_gradients.iter());
-        for (out, (output, by_value)) in output_gradient.chunks_exact_mut(width).zip(outputs) {
-            out[0] = by_value.density * self.policy.density_activation.derivative(output[0]);
+        for (row, (out, (output, by_value))) in
+            output_gradient.chunks_exact_mut(width).zip(outputs).enumerate()
+        {
+            let by_density = by_value.density + lit.by_depth(row) * samples.intervals[row].length;
+            out[0] = by_density * self.policy.density_activation.derivative(output[0]);
         }
         let weights = &mut gradient.density;
         let flow = Flow { output: output_gradient, input: feature_gradients, weights };

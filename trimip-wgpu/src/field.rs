@@ -1,45 +1,25 @@
 //! Density and colour networks on the GPU. The activations of a step stay on the device. If the field has no networks, the encoder's
 //! features are the logits of density and colour.
 
+use crate::deferred::{Deferred, RayColors};
+use crate::field_params::{FieldParams, PARAMS};
 use crate::gpu::Access::{Parameters, Read, Write};
 use crate::gpu::Source::{self, Parts, Text};
 use crate::gpu::{Buffer, GRID, GROUP, Gpu, Kernel, Rows, Size};
 use crate::mlp::{Activations, DIRECT, Flow, Mlp, Partials};
 use crate::products::padded;
-use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RANDOM, RAY};
+use crate::shaders::{ACTIVATION, COMPOSITING, HARMONICS, RANDOM, RAY, VORONOI};
 use crate::workspace::{Capacity, DeviceCounters, Stream, WgpuBackend};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use trimip_core::config::{Precision, ViewEncoding};
-use trimip_core::engine::batch::{FieldBackward, FieldDraw, PartialGradients, Radiance, SampleDraw, Tile};
+use trimip_core::config::Precision;
+use trimip_core::engine::batch::{
+    FieldBackward, FieldDraw, PartialGradients, Radiance, Rays, SampleDraw, Samples, Tile,
+};
 use trimip_core::engine::policy::FieldPolicy;
 use trimip_core::{Config, Field, Layout};
 
 shared! {
-    /// Parameters of the kernels before and after the networks.
-    struct FieldParams as Params {
-        counter: u32,
-        /// Width of the colour network's input: the encoded view direction, the geometry features with their sines and
-        /// cosines, and padding.
-        width: u32,
-        /// Number of values of the encoded view direction, and number of geometry features.
-        view: u32,
-        geometry: u32,
-        /// Width of the density network's output: the logit, the geometry features, and padding.
-        outputs: u32,
-        /// 1 if the view direction is encoded as coordinates with sines and cosines, 0 if as spherical harmonics.
-        frequencies_of_view: u32,
-        /// Numbers of frequencies of the view direction and of the geometry features.
-        view_frequencies: u32,
-        geometry_frequencies: u32,
-        /// Activation function of the density, with its shift and its factor.
-        density: u32,
-        shift: f32,
-        scale: f32,
-        /// 1 if the field has no networks; the features are then the logits of density and colour.
-        direct: u32,
-    }
-
     /// Parameters of the kernel that blackens samples of little weight.
     struct DimParams as Params {
         /// Number of rays.
@@ -68,8 +48,6 @@ shared! {
     }
 }
 
-const PARAMS: Source = Parts(&[Source::of::<FieldParams>(), Text(include_str!("shaders/field_params.wgsl"))]);
-
 /// Shader source: the operations before and after the two networks.
 pub const FIELD: Source = Parts(&[
     GRID,
@@ -77,6 +55,7 @@ pub const FIELD: Source = Parts(&[
     PARAMS,
     ACTIVATION,
     HARMONICS,
+    VORONOI,
     Source::whole("DIRECT", DIRECT as u32),
     Text(include_str!("shaders/field.wgsl")),
 ]);
@@ -126,6 +105,8 @@ pub struct WgpuField {
     policy: FieldPolicy,
     density: Mlp,
     color: Mlp,
+    /// Deferred shading, if it is enabled.
+    deferred: Option<Deferred>,
     /// Width of the colour network's input: the encoded view direction, the geometry features with their sines and
     /// cosines, and padding.
     width: usize,
@@ -143,6 +124,8 @@ pub struct Context {
     input_gradient: Buffer<f32>,
     output_gradient: Buffer<f32>,
     scratch: [Buffer<f32>; 2],
+    /// The rays' colours with deferred shading.
+    rays: RayColors,
 }
 
 impl Context {
@@ -169,6 +152,7 @@ impl WgpuField {
         Self {
             gpu: Arc::clone(gpu),
             kernels: Kernels::new(gpu),
+            deferred: config.field.deferred.then(|| Deferred::new(gpu)),
             width: if policy.is_direct() { DIRECT } else { padded(policy.color.inputs()) },
             policy,
             density,
@@ -197,14 +181,73 @@ impl WgpuField {
             view: self.policy.view as u32,
             geometry: self.geometry() as u32,
             outputs: self.outputs() as u32,
-            frequencies_of_view: u32::from(field.view == ViewEncoding::Frequencies),
+            encoding: field.view as u32,
+            sharpness: field.view_sharpness,
             view_frequencies: field.view_frequencies,
             geometry_frequencies: self.policy.geometry_frequencies(),
             density: field.density as u32,
             shift: field.density_shift,
             scale: field.density_scale,
             direct: u32::from(self.policy.is_direct()),
+            deferred: u32::from(self.deferred.is_some()),
+            rays: 0,
+            least: 0.0,
         }
+    }
+
+    /// Writes the input of the colour network for each row, and runs the rows through it. `outputs` are those of the density
+    /// network, or their means along rays with deferred shading.
+    fn logits<'a>(
+        &self,
+        rows: &Rows,
+        (rays, samples): (&Rays<WgpuBackend>, &Samples<WgpuBackend>),
+        outputs: &Buffer<f32>,
+        color_input: &mut Buffer<f32>,
+        color: &'a mut Activations,
+    ) -> &'a Buffer<f32> {
+        rows.size(color_input, self.width);
+        let binds = [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
+        self.gpu.dispatch(&self.kernels.color_inputs, &binds, &self.params(rows), rows.dispatch(1, GROUP));
+        self.color.forward(&self.gpu, rows, color_input, color);
+        &color[color.len() - 1]
+    }
+
+    /// Computes the gradients of the colour logits, [samples, [`DIRECT`]].
+    fn color_gradients(
+        &self,
+        rows: &Rows,
+        (radiance, radiance_gradients): (&Buffer<Radiance>, &Buffer<Radiance>),
+        by_logits: &mut Buffer<f32>,
+    ) {
+        rows.size(by_logits, DIRECT);
+        let binds = [radiance.bind(), rows.bind(), by_logits.bind(), radiance_gradients.bind()];
+        self.gpu.dispatch(&self.kernels.color_gradients, &binds, &self.params(rows), rows.dispatch(1, GROUP));
+    }
+
+    /// Runs the colour network backward, from the gradients of its logits to those of its input.
+    fn pull_color(&self, rows: &Rows, context: &mut Context, gradient: &FieldGradient) {
+        let Context { color, color_input, color_gradient, input_gradient, scratch, .. } = context;
+        let flow =
+            Flow { by_output: color_gradient, scratch, by_input: input_gradient, partials: &gradient.color };
+        self.color.backward(&self.gpu, rows, color_input, color, flow);
+    }
+
+    /// Computes the gradients of the density network's outputs from those of the geometry features and of the densities.
+    fn density_gradients(
+        &self,
+        rows: &Rows,
+        (outputs, by_outputs): (&Buffer<f32>, &mut Buffer<f32>),
+        (by_geometry, radiance_gradients): (&Buffer<f32>, &Buffer<Radiance>),
+    ) {
+        rows.size(by_outputs, self.outputs());
+        let binds =
+            [outputs.bind(), by_outputs.bind(), rows.bind(), by_geometry.bind(), radiance_gradients.bind()];
+        self.gpu.dispatch(
+            &self.kernels.density_gradients,
+            &binds,
+            &self.params(rows),
+            rows.dispatch(1, GROUP),
+        );
     }
 
     /// Keeps rows as [`Field::keep`] does, but only of the part of the context that colours need. A backward pass is
@@ -249,6 +292,7 @@ impl Field<WgpuBackend> for WgpuField {
             input_gradient: empty(),
             output_gradient: empty(),
             scratch: [empty(), empty()],
+            rays: RayColors::new(&self.gpu),
         }
     }
 
@@ -301,22 +345,18 @@ impl Field<WgpuBackend> for WgpuField {
     ) {
         let Tile { stream, rays, samples, .. } = tile;
         let rows = Rows::of(&samples.spheres, &mut stream.count);
-        let Context { density, color, color_input, .. } = context;
+        let Context { density, color, color_input, rays: colors, .. } = context;
         let outputs = &density[density.len() - 1];
+        if let Some(deferred) = &self.deferred {
+            let params = FieldParams { least, ..self.params(&rows) };
+            let of_rays = deferred.mean(samples, &params, (outputs, radiance), colors);
+            let logits = self.logits(&of_rays, (rays, samples), colors.means(), color_input, color);
+            return deferred.colors(samples, &params, logits, radiance, colors);
+        }
         let logits = if self.policy.is_direct() {
             outputs
         } else {
-            rows.size(color_input, self.width);
-            let binds =
-                [outputs.bind(), rows.bind(), rays.rays.bind(), samples.rays.bind(), color_input.bind()];
-            self.gpu.dispatch(
-                &self.kernels.color_inputs,
-                &binds,
-                &self.params(&rows),
-                rows.dispatch(1, GROUP),
-            );
-            self.color.forward(&self.gpu, &rows, color_input, color);
-            &color[color.len() - 1]
+            self.logits(&rows, (rays, samples), outputs, color_input, color)
         };
         let binds = [logits.bind(), radiance.bind(), rows.bind()];
         self.gpu.dispatch(&self.kernels.colors, &binds, &self.params(&rows), rows.dispatch(1, GROUP));
@@ -390,40 +430,31 @@ impl Field<WgpuBackend> for WgpuField {
         let Tile { stream, samples, .. } = tile;
         let FieldBackward { features, radiance, radiance_gradients, feature_gradients } = arrays;
         let rows = Rows::of(&samples.spheres, &mut stream.count);
-        let Context { density, color, color_input, color_gradient, input_gradient, output_gradient, scratch } =
-            context;
-        rows.size(color_gradient, DIRECT);
-        let binds = [radiance.bind(), rows.bind(), color_gradient.bind(), radiance_gradients.bind()];
-        self.gpu.dispatch(
-            &self.kernels.color_gradients,
-            &binds,
-            &self.params(&rows),
-            rows.dispatch(1, GROUP),
-        );
-        if !self.policy.is_direct() {
-            let flow = Flow {
-                by_output: color_gradient,
-                scratch,
-                by_input: input_gradient,
-                partials: &gradient.color,
-            };
-            self.color.backward(&self.gpu, &rows, color_input, color, flow);
-        }
-        let by_geometry = if self.policy.is_direct() { color_gradient } else { input_gradient };
-        let by_output = if self.policy.is_direct() { &mut *feature_gradients } else { &mut *output_gradient };
-        rows.size(by_output, self.outputs());
-        let outputs = &density[density.len() - 1];
-        let binds =
-            [outputs.bind(), by_output.bind(), rows.bind(), by_geometry.bind(), radiance_gradients.bind()];
-        self.gpu.dispatch(
-            &self.kernels.density_gradients,
-            &binds,
-            &self.params(&rows),
-            rows.dispatch(1, GROUP),
-        );
         if self.policy.is_direct() {
-            return;
+            self.color_gradients(&rows, (radiance, radiance_gradients), &mut context.color_gradient);
+            let Context { density, color_gradient, .. } = context;
+            let outputs = (&density[density.len() - 1], feature_gradients);
+            return self.density_gradients(&rows, outputs, (color_gradient, radiance_gradients));
         }
+        if let Some(deferred) = &self.deferred {
+            let params = self.params(&rows);
+            let of_rays = context.rays.rows(samples);
+            of_rays.size(&mut context.color_gradient, DIRECT);
+            let colors = (radiance, radiance_gradients);
+            deferred.color_gradients(samples, &params, colors, &context.color_gradient);
+            self.pull_color(&of_rays, context, gradient);
+            let Context { density, rays, input_gradient, output_gradient, .. } = context;
+            rows.size(output_gradient, self.outputs());
+            let outputs = (&density[density.len() - 1], &*output_gradient);
+            deferred.spread(samples, &params, rays, outputs, (radiance_gradients, input_gradient));
+        } else {
+            self.color_gradients(&rows, (radiance, radiance_gradients), &mut context.color_gradient);
+            self.pull_color(&rows, context, gradient);
+            let Context { density, input_gradient, output_gradient, .. } = context;
+            let outputs = (&density[density.len() - 1], output_gradient);
+            self.density_gradients(&rows, outputs, (input_gradient, radiance_gradients));
+        }
+        let Context { density, output_gradient, scratch, .. } = context;
         let flow = Flow {
             by_output: output_gradient,
             scratch,

@@ -37,9 +37,11 @@ mod gpu;
 
 mod backend;
 mod capacity;
+mod deferred;
 mod encoder;
 mod encoders;
 mod field;
+mod field_params;
 mod hybrid;
 mod loss;
 mod losses;

@@ -55,7 +55,6 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let hidden = padded(config.field.hidden.max(config.field.color_hidden) as usize);
     let color_inputs = color.first().map_or(0, |[inputs, _]| padded(*inputs));
     let last = |layers: &[[usize; 2]]| layers.last().map_or(padded(1), |[_, outputs]| padded(*outputs));
-    let by_inputs = color_inputs + last(&density) + encoders::stride(config);
     let by_outputs = last(&color) + 2 * hidden;
     let refines = config.train.cameras == CameraPoses::Refine;
     // The samples again on displaced rays, and one slope per sample.
@@ -66,7 +65,14 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
     let outputs = color.iter().map(|[_, outputs]| padded(*outputs));
     let spares: BTreeSet<usize> = outputs.chain([color_inputs, size_of::<Radiance>() / FLOAT]).collect();
     let drawn = if draws { (1 + spares.iter().sum::<usize>()) * FLOAT } else { 0 };
-    let per_kept = (color_inputs + widths(&color) + by_inputs + by_outputs) * FLOAT
+    // The colour network runs once per sample, or once per ray with deferred shading.
+    let per_color = (2 * color_inputs + widths(&color) + by_outputs) * FLOAT;
+    let (of_rays, of_kept) = match config.field.deferred {
+        true => (per_color + last(&density) * FLOAT, (2 * hidden + 1) * FLOAT),
+        false => (0, per_color),
+    };
+    let per_kept = of_kept
+        + (last(&density) + encoders::stride(config)) * FLOAT
         + drawn
         + size_of::<Radiance>()
         + size_of::<u32>()
@@ -78,7 +84,8 @@ fn predict(config: &Config, own: &WgpuConfig, views: &ViewSet, binding: u64) -> 
         + 2 * size_of::<Pixel>()
         + size_of::<[f32; 4]>()
         + 3 * size_of::<Segment>()
-        + words * size_of::<u32>();
+        + words * size_of::<u32>()
+        + of_rays;
     let cells = (config.occupancy.resolution as usize).pow(3);
     let layers = density.iter().chain(&color);
     let matrices: usize = layers.map(|[inputs, outputs]| padded(*inputs) * padded(*outputs)).sum();

@@ -11,6 +11,7 @@ use trimip_core::field::activation::LARGEST_ARGUMENT;
 use trimip_core::geometry::camera::FARTHEST_APEX;
 use trimip_core::math::compositing::BRIGHTEST;
 use trimip_core::math::sh::FACTORS;
+use trimip_core::math::voronoi::SITES;
 
 /// Number of cells along a side of a block of the occupancy grid, and number of blocks along a side of a block of
 /// blocks.
@@ -79,6 +80,10 @@ pub const ACTIVATION: Source = Parts(&[
 /// Shader source: spherical harmonics of a direction.
 pub const HARMONICS: Source =
     Parts(&[Constant("SH", Value::Reals(&FACTORS)), Text(include_str!("shaders/harmonics.wgsl"))]);
+
+/// Shader source: weights of soft Voronoi cells for a direction.
+pub const VORONOI: Source =
+    Parts(&[Constant("SITES", Value::Reals(&SITES)), Text(include_str!("shaders/voronoi.wgsl"))]);
 
 /// Shader source: 64-bit fixed point.
 pub const FIXED: Source =

@@ -4,8 +4,8 @@
 use crate::gpu::{Access, Kernel, Layout};
 use crate::workspace::Addition;
 use crate::{
-    encoder, field, gpu, hybrid, losses, mlp, occupancy, optimizer, poses, products, renderer, sampler,
-    workspace,
+    deferred, encoder, field, gpu, hybrid, losses, mlp, occupancy, optimizer, poses, products, renderer,
+    sampler, workspace,
 };
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 use naga::{AddressSpace, Handle, Module, Scalar, ScalarKind, StorageAccess, Type, TypeInner};
@@ -17,6 +17,7 @@ fn all() -> Vec<Kernel> {
         vec![workspace::gather(), optimizer::update()],
         encoder::kernels(),
         field::Kernels::all(),
+        deferred::Kernels::all(),
         hybrid::Kernels::all(),
         losses::all(),
         mlp::Kernels::all(),

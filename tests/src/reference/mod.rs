@@ -134,6 +134,7 @@ impl Reference {
                 harmonics(direction)[..(field.harmonics as usize).pow(2)].to_vec()
             }
             (true, ViewEncoding::Frequencies) => frequencies(&direction, field.view_frequencies),
+            (true, ViewEncoding::Voronoi) => voronoi(direction, field.view_sharpness.into()),
         };
         input.extend(frequencies(&geometry[1..], field.geometry_frequencies));
         let logits = network(&self.color, &input, None);
@@ -154,15 +155,37 @@ impl Reference {
     /// Composites the samples of a ray on a background.
     pub fn pixel_on(&self, ray: &Ray, samples: &[Sample], background: [f32; 3]) -> Composited {
         let direction = ray.direction.map(f64::from);
-        let radiance: Vec<_> = samples
-            .iter()
-            .map(|sample| {
-                let geometry = self.geometry(&self.features(sample));
-                (self.density(&geometry), self.color(&geometry, direction))
-            })
-            .collect();
-        let radiance = self.without_faint(samples, radiance);
+        let geometry: Vec<_> = samples.iter().map(|sample| self.geometry(&self.features(sample))).collect();
+        let radiance = if self.config.field.deferred {
+            self.deferred(samples, &geometry, direction)
+        } else {
+            let radiance = geometry.iter().map(|own| (self.density(own), self.color(own, direction)));
+            self.without_faint(samples, radiance.collect())
+        };
         composite(samples, &radiance, background.map(f64::from), ray.cosine.into())
+    }
+
+    /// Returns the density of each sample of a ray, with the colour of the ray: that of the mean of the samples' geometry,
+    /// weighted with T·α (deferred shading). A ray of less opacity than `renderer.color_weight` is black.
+    pub fn deferred(
+        &self,
+        samples: &[Sample],
+        geometry: &[Vec<f64>],
+        direction: [f64; 3],
+    ) -> Vec<(f64, [f64; 3])> {
+        let densities: Vec<f64> = geometry.iter().map(|own| self.density(own)).collect();
+        let depth = |k: usize| densities[k] * samples[k].length;
+        let weight = |i: usize| (-(0..i).map(depth).sum::<f64>()).exp() * -(-depth(i)).exp_m1();
+        let weights: Vec<f64> = (0..samples.len()).map(weight).collect();
+        let opacity: f64 = weights.iter().sum();
+        let rgb = if opacity <= 0.0 || opacity < self.config.renderer.color_weight.at(1.0) {
+            [0.0; 3]
+        } else {
+            let sum = |k: usize| weights.iter().zip(geometry).map(|(w, own)| w * own[k]).sum::<f64>();
+            let mean: Vec<f64> = (0..geometry[0].len()).map(|k| sum(k) / opacity).collect();
+            self.color(&mean, direction)
+        };
+        densities.into_iter().map(|density| (density, rgb)).collect()
     }
 
     /// Replaces the colour of a sample with black where its weight is below `renderer.color_weight`.
@@ -220,6 +243,19 @@ fn frequencies(values: &[f64], count: u32) -> Vec<f64> {
         all.extend(values.iter().map(|x| angle(x).cos()));
     }
     all
+}
+
+/// Returns exp(τ·s·d) / Σ exp(τ·s·d) for the 16 sites s of a Fibonacci lattice.
+fn voronoi(direction: [f64; 3], sharpness: f64) -> Vec<f64> {
+    let site = |i: f64| {
+        let (z, azimuth) = (1.0 - (2.0 * i + 1.0) / 16.0, i * std::f64::consts::PI * (3.0 - 5_f64.sqrt()));
+        let radius = (1.0 - z * z).sqrt();
+        [radius * azimuth.cos(), radius * azimuth.sin(), z]
+    };
+    let cosine = |i| (0..3).map(|k| site(f64::from(i))[k] * direction[k]).sum::<f64>();
+    let all: Vec<f64> = (0..16).map(|i| (sharpness * cosine(i)).exp()).collect();
+    let sum: f64 = all.iter().sum();
+    all.into_iter().map(|value| value / sum).collect()
 }
 
 /// Evaluates linear layers with ReLU between them. Layer `joined` also reads the input (a skip connection).

@@ -129,10 +129,18 @@ pub fn fog<B: Backend>(make: impl Fn() -> B) -> Result<()> {
 /// # Errors
 /// When the backend refuses the configuration.
 pub fn exact<B: Backend>(make: impl Fn() -> B) -> Result<()> {
-    let config = configuration(8);
-    let model = model(&config, &lively(&Layout::new(&config), 7))?;
+    for deferred in [false, true] {
+        let mut config = configuration(8);
+        config.field.deferred = deferred;
+        exact_of(make(), &config)?;
+    }
+    Ok(())
+}
+
+fn exact_of<B: Backend>(backend: B, config: &Config) -> Result<()> {
+    let model = model(config, &lively(&Layout::new(config), 7))?;
     let exact = Exact::new(&model)?;
-    let mut loaded = LoadedModel::new(make(), &model)?;
+    let mut loaded = LoadedModel::new(backend, &model)?;
     for (from, to) in [
         (DVec3::new(0.2, 0.1, -0.1), DVec3::X),
         (DVec3::new(0.5, -1.9, 0.4), DVec3::ZERO),

@@ -50,7 +50,9 @@ fn configurations() -> Vec<Config> {
     (fitted.encoder.plane_size, fitted.encoder.levels) = (64, 4);
     fitted.encoder.shape = PlaneShape::Box;
     fitted.scene = code.scene.clone();
-    [vec![code, flat, fitted], every_variant()].concat()
+    let mut deferred = small();
+    deferred.field.deferred = true;
+    [vec![code, flat, fitted, deferred], every_variant()].concat()
 }
 
 /// Returns spheres all over the box and on its border, with radii from zero to far beyond the coarsest level.
@@ -129,16 +131,33 @@ pub fn field<B: Backend>(make: impl Fn() -> B) -> Result<()> {
         stages.field.density(tile, &workspace.features, field_context, &mut workspace.radiance);
         stages.field.color(tile, 0.0, field_context, &mut workspace.radiance);
         let radiance = backend.read(&workspace.radiance);
+        let geometry: Vec<_> = features
+            .chunks_exact(stride)
+            .take(spheres.len())
+            .map(|row| reference.geometry(&wide(&row[..width])))
+            .collect();
+        let of_rays: Vec<_> = rays
+            .iter()
+            .enumerate()
+            .map(|(ray, on)| {
+                let own = 37 * ray..37 * (ray + 1);
+                let samples = own.clone().map(|i| Sample::new(on, &intervals[i], &spheres[i]));
+                let samples: Vec<_> = samples.collect();
+                reference.deferred(&samples, &geometry[own], on.direction.map(f64::from))[0].1
+            })
+            .collect();
         for (i, found) in radiance.iter().enumerate().take(spheres.len()) {
-            let geometry = reference.geometry(&wide(&features[stride * i..][..width]));
-            let density = reference.density(&geometry);
+            let density = reference.density(&geometry[i]);
             assert!(
                 f64::from(found.density) == density
                     || close(f64::from(found.density) / density, 1.0, FIELD_TOLERANCE),
                 "sample {i}: density {}, not {density}",
                 found.density
             );
-            let rgb = reference.color(&geometry, rays[i / 37].direction.map(f64::from));
+            let rgb = match config.field.deferred {
+                true => of_rays[i / 37],
+                false => reference.color(&geometry[i], rays[i / 37].direction.map(f64::from)),
+            };
             for (found, expected) in found.rgb.into_iter().zip(rgb) {
                 assert!(
                     close(found.into(), expected, FIELD_TOLERANCE),

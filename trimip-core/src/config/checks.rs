@@ -71,6 +71,7 @@ impl Config {
         self.voxels.check(to)?;
         self.check_density_of_encoder(to)?;
         self.field.check(to)?;
+        self.check_deferred(to)?;
         self.renderer.check(to)?;
         self.loss.check(to)?;
         self.occupancy.check(to)?;
@@ -80,6 +81,23 @@ impl Config {
         // The scene plan may still choose the hash grid.
         let open = self.plan.encoder != PlanChoice::Off && !to.given("encoder.kind");
         self.refuse_settings_of_other_encoders(to, |owner| open && owner == EncoderKind::HashGrid)
+    }
+
+    /// Checks the settings that deferred shading excludes: the colours of its samples are those of their rays.
+    fn check_deferred(&self, to: &Checker<'_>) -> Result<()> {
+        if !self.field.deferred {
+            return Ok(());
+        }
+        to.together(
+            self.encoder.kind != EncoderKind::Voxels,
+            &["field.deferred", "encoder.kind"],
+            "field.deferred = false for encoder.kind = \"voxels\", whose field has no colour network",
+        )?;
+        to.together(
+            self.train.backward_fraction.values().all(|fraction| fraction == 1.0),
+            &["field.deferred", "train.backward_fraction"],
+            "field.deferred = false, or train.backward_fraction = [[0.0, 1.0]]: one colour belongs to all samples of its ray",
+        )
     }
 
     /// Refuses a setting that belongs to an encoder not in use and differs from its default, unless `may_follow` is true for that

@@ -86,6 +86,8 @@ choice!(
         Harmonics,
         /// The coordinates, and their sines and cosines at rising frequencies (NeRF, Eq. 4, without π).
         Frequencies,
+        /// The weights of soft Voronoi cells around 16 unit sites.
+        Voronoi,
     }
 );
 choice!(

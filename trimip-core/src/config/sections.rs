@@ -53,8 +53,8 @@ section!(
 section!(
     /// The density and colour networks.
     FieldConfig, "field" {
-        hidden: u32, density_layers: u32, joined: u32, color_layers: u32, color_hidden: u32, biases: bool, geometry: u32, geometry_frequencies: u32,
-        directions: bool, direction_delay: f64, view: ViewEncoding, harmonics: u32, view_frequencies: u32,
+        hidden: u32, density_layers: u32, joined: u32, color_layers: u32, color_hidden: u32, biases: bool, geometry: u32, geometry_frequencies: u32, deferred: bool,
+        directions: bool, direction_delay: f64, view: ViewEncoding, harmonics: u32, view_frequencies: u32, view_sharpness: f32,
         density: DensityFunction, density_shift: f32, density_scale: f32, precision: Precision,
     }
 );

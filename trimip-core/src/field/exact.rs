@@ -109,6 +109,8 @@ impl Exact {
         let step = self.diagonal / f64::from(steps);
         let view = view(&self.config, cone.direction);
         let (mut rgb, mut depth) = ([0.0; 3], 0.0_f64);
+        // With deferred shading: the weighted sum of the samples' geometry, and the sum of the weights.
+        let (mut features, mut opacity) = (Vec::new(), 0.0);
         let count = ((leave - enter) / step + 0.5).floor().max(0.0) as u64;
         for i in 0..count {
             let s = enter + (i as f64 + 0.5) * step;
@@ -132,13 +134,21 @@ impl Exact {
             let before = (-depth).exp();
             depth += own;
             let weight = before * -(-own).exp_m1();
-            if weight > OPAQUE && weight >= self.config.renderer.color_weight.at(1.0) {
+            if self.config.field.deferred {
+                features.resize(geometry.len(), 0.0);
+                features.iter_mut().zip(&geometry).for_each(|(sum, value)| *sum += weight * value);
+                opacity += weight;
+            } else if weight > OPAQUE && weight >= self.config.renderer.color_weight.at(1.0) {
                 let color = self.color(&view, &geometry);
                 (0..3).for_each(|c| rgb[c] += weight * color[c]);
             }
             if before < OPAQUE {
                 break;
             }
+        }
+        if opacity > OPAQUE && opacity >= self.config.renderer.color_weight.at(1.0) {
+            let mean: Vec<f64> = features.iter().map(|sum| sum / opacity).collect();
+            rgb = self.color(&view, &mean).map(|value| opacity * value);
         }
         let left = (-depth).exp();
         std::array::from_fn(|c| rgb[c] + left * self.background[c])

@@ -8,9 +8,13 @@
 
 use crate::{
     Config,
-    config::ViewEncoding,
+    config::{FieldConfig, ViewEncoding},
     field::encoders,
-    math::{scalar::Real, sh::spherical_harmonics},
+    math::{
+        scalar::Real,
+        sh::{self, spherical_harmonics},
+        voronoi::{self, soft_voronoi},
+    },
 };
 
 /// The layers of a network.
@@ -123,6 +127,7 @@ pub fn view_width(config: &Config) -> usize {
         (false, _) => 0,
         (true, ViewEncoding::Harmonics) => (field.harmonics as usize).pow(2),
         (true, ViewEncoding::Frequencies) => with_frequencies(3, field.view_frequencies),
+        (true, ViewEncoding::Voronoi) => voronoi::COUNT,
     }
 }
 
@@ -183,21 +188,32 @@ pub fn pull_frequencies<R: Real>(row: &[R], gradient: &mut [R], values: usize, f
     }
 }
 
-/// Returns the colour network's inputs from a unit direction: [`view_width`] values.
-pub fn view<R: Real>(config: &Config, direction: [R; 3]) -> Vec<R> {
-    let width = view_width(config);
-    match config.field.view {
-        ViewEncoding::Harmonics => spherical_harmonics(direction)[..width].to_vec(),
+/// Writes the encoding of a unit direction to `row`, which has room for [`view_width`] values of the settings `field`.
+#[inline]
+pub fn encode_view<R: Real>(field: &FieldConfig, direction: [R; 3], row: &mut [R]) {
+    match field.view {
+        ViewEncoding::Harmonics => {
+            let width = row.len().min(sh::COUNT);
+            row[..width].copy_from_slice(&spherical_harmonics(direction)[..width]);
+        }
         ViewEncoding::Frequencies => {
-            let mut row = vec![R::zero(); width.max(3)];
             row[..3].copy_from_slice(&direction);
-            if width > 0 {
-                append_frequencies(&mut row, 3, config.field.view_frequencies);
-            }
-            row.truncate(width);
-            row
+            append_frequencies(row, 3, field.view_frequencies);
+        }
+        ViewEncoding::Voronoi => {
+            let sharpness = R::from_f64(field.view_sharpness.into());
+            row[..voronoi::COUNT].copy_from_slice(&soft_voronoi(direction, sharpness));
         }
     }
+}
+
+/// Returns the colour network's inputs from a unit direction: [`view_width`] values.
+pub fn view<R: Real>(config: &Config, direction: [R; 3]) -> Vec<R> {
+    let mut row = vec![R::zero(); view_width(config)];
+    if !row.is_empty() {
+        encode_view(&config.field, direction, &mut row);
+    }
+    row
 }
 
 #[cfg(test)]

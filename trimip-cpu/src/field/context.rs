@@ -5,11 +5,12 @@ use crate::CpuBackend;
 use crate::buffer::Buffer;
 use crate::gemm::padded;
 use crate::mlp::{Activations, Mlp, Passing, Shared};
-use trimip_core::config::{FieldConfig, ViewEncoding};
-use trimip_core::engine::batch::{Radiance, Rays, Samples};
-use trimip_core::field::networks::append_frequencies;
+use std::ops::Range;
+use trimip_core::config::FieldConfig;
+use trimip_core::engine::batch::{Radiance, Rays, Samples, Segment};
+use trimip_core::field::networks::encode_view;
 use trimip_core::math::compositing::is_lit;
-use trimip_core::math::sh::spherical_harmonics;
+use trimip_core::math::deferred::{LEAST_OPACITY, fractions, mean_gradient};
 
 /// Activations and gradients of a tile.
 pub struct Context {
@@ -62,13 +63,23 @@ impl Context {
     }
 }
 
-/// The list of samples whose colour is computed. Samples that are too faint have no colour.
+/// The rows of the colour network. A row belongs to one sample, or with deferred shading to all samples of a ray. Samples and
+/// rays that are too faint have no row, and no colour.
 #[derive(Default)]
 pub struct Lit {
-    /// True if `rows` lists the samples that have a colour; otherwise all samples have one.
+    /// True if `rows` lists the rows; otherwise row i belongs to sample i.
     pub(super) listed: bool,
+    /// True if a row belongs to a whole ray.
+    pub(super) of_rays: bool,
+    /// First sample of each row.
     pub(super) rows: Vec<u32>,
-    /// The density network's outputs for the listed samples, with padded rows, and the gradient of these outputs.
+    /// With `of_rays`: the opacity of each row's ray.
+    opacities: Vec<f32>,
+    /// With `of_rays`: the fraction of each sample in the mean of its ray, and the derivative of the loss with respect to its
+    /// optical depth through this mean.
+    fractions: Vec<f32>,
+    by_depth: Vec<f32>,
+    /// With `listed`: the density network's outputs of each row, with padded rows, and the gradient of these outputs.
     pub(super) outputs: Buffer<f32>,
     pub(super) gradient: Buffer<f32>,
     /// Scratch memory of [`Context::keep_drawn`].
@@ -80,7 +91,7 @@ impl Lit {
     /// Lists the samples whose compositing weight is at least `least`, or NaN. If `least` is 0, all samples have a
     /// colour. `radiance` has one element per sample.
     pub fn choose(&mut self, samples: &Samples<CpuBackend>, radiance: &[Radiance], least: f32) {
-        self.listed = least > 0.0;
+        (self.listed, self.of_rays) = (least > 0.0, false);
         self.rows.clear();
         if !self.listed {
             return;
@@ -96,20 +107,104 @@ impl Lit {
         }
     }
 
-    /// Returns the number of samples with a colour; `all` is the number of all samples.
+    /// Lists the rays whose opacity is at least `least`, or NaN, and computes the mean of the density network's `outputs`
+    /// (`width` values per sample) along each of them.
+    pub fn choose_rays(
+        &mut self,
+        samples: &Samples<CpuBackend>,
+        radiance: &[Radiance],
+        least: f32,
+        outputs: &[f32],
+        width: usize,
+    ) {
+        (self.listed, self.of_rays) = (true, true);
+        self.rows.clear();
+        self.opacities.clear();
+        self.fractions.clear();
+        self.fractions.resize(radiance.len(), 0.0);
+        // As large as if every ray had a colour.
+        self.outputs.resize(samples.segments.len() * width);
+        let least = least.max(LEAST_OPACITY as f32);
+        for range in samples.segments.iter().map(Segment::range) {
+            let depths = range.clone().map(|row| radiance[row].density * samples.intervals[row].length);
+            let own = &mut self.fractions[range.clone()];
+            let opacity = fractions(depths, own);
+            // The comparison is false for NaN: such a ray has a colour, and the step reports it.
+            if range.is_empty() || opacity < least {
+                continue;
+            }
+            self.opacities.push(opacity);
+            let at = self.rows.len() * width;
+            self.rows.push(range.start as u32);
+            let mean = &mut self.outputs[at..at + width];
+            mean.fill(0.0);
+            for (fraction, outputs) in own.iter().zip(outputs[range.start * width..].chunks_exact(width)) {
+                mean.iter_mut().zip(outputs).for_each(|(sum, value)| *sum += fraction * value);
+            }
+        }
+        self.outputs.resize(padded(self.rows.len()) * width);
+    }
+
+    /// Returns the number of rows; `all` is the number of all samples.
     pub fn count(&self, all: usize) -> usize {
         if self.listed { self.rows.len() } else { all }
     }
 
-    /// Returns the row of the `i`th sample that has a colour.
+    /// Returns the samples of row `i`; `segments` are those of the tile.
+    pub fn samples(&self, i: usize, samples: &Samples<CpuBackend>) -> Range<usize> {
+        let first = self.row(i);
+        match self.of_rays {
+            true => samples.segments[samples.rays[first] as usize].range(),
+            false => first..first + 1,
+        }
+    }
+
+    /// Returns the first sample of row `i`.
     pub fn row(&self, i: usize) -> usize {
         if self.listed { self.rows[i] as usize } else { i }
     }
 
-    /// Returns the density network's outputs for the samples that have a colour, in their order, with padded rows and
-    /// width.
+    /// Returns the density network's outputs of each row, in order, with padded rows and width.
     pub fn of<'a>(&'a self, density: &'a Activations) -> &'a Buffer<f32> {
         if self.listed { &self.outputs } else { density.output() }
+    }
+
+    /// Spreads the gradient of a ray's mean over its samples. `by_mean` is the gradient with respect to `values` numbers of
+    /// row `i`, and `outputs` are the corresponding numbers of each of its samples (`width` apart). `by_outputs` receives
+    /// their gradients, with the same distance; `by_depth` keeps the derivatives with respect to the optical depths.
+    pub fn spread(
+        &mut self,
+        i: usize,
+        own: Range<usize>,
+        tile: (&Samples<CpuBackend>, &[Radiance]),
+        by_mean: &[f32],
+        (outputs, by_outputs, width): (&[f32], &mut [f32], usize),
+    ) {
+        let (samples, radiance) = tile;
+        let first = own.start;
+        let Self { fractions, by_depth, opacities, .. } = self;
+        for row in own.clone() {
+            let by_own = &mut by_outputs[row * width + 1..][..by_mean.len()];
+            by_own.iter_mut().zip(by_mean).for_each(|(to, from)| *to = fractions[row] * from);
+        }
+        let sample = |i: usize| {
+            let row = first + i;
+            let depth = radiance[row].density * samples.intervals[row].length;
+            let values = outputs[row * width + 1..].iter().zip(by_mean);
+            (depth, fractions[row], values.map(|(value, by)| value * by).sum::<f32>())
+        };
+        mean_gradient(own.len(), opacities[i], sample, |i, by| by_depth[first + i] = by);
+    }
+
+    /// Prepares the derivatives with respect to optical depths of `samples` samples.
+    pub fn clear_depths(&mut self, samples: usize) {
+        self.by_depth.clear();
+        self.by_depth.resize(samples, 0.0);
+    }
+
+    /// Returns the derivative of the loss with respect to the optical depth of sample `row` through the mean of its ray.
+    pub fn by_depth(&self, row: usize) -> f32 {
+        if self.of_rays { self.by_depth[row] } else { 0.0 }
     }
 }
 
@@ -141,15 +236,8 @@ impl Directions {
                 count += 1;
                 self.views.resize(count * width);
                 let row = &mut self.views[(count - 1) * width..];
-                let direction = rays.rays[ray as usize].direction;
-                match field.view {
-                    ViewEncoding::Harmonics => row.copy_from_slice(&spherical_harmonics(direction)),
-                    ViewEncoding::Frequencies => {
-                        row.fill(0.0);
-                        row[..3].copy_from_slice(&direction);
-                        append_frequencies(row, 3, field.view_frequencies);
-                    }
-                }
+                row.fill(0.0);
+                encode_view(field, rays.rays[ray as usize].direction, row);
             }
             self.of.push(count as u32 - 1);
         }

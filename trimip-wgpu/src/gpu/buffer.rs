@@ -21,7 +21,7 @@ pub struct Buffer<T> {
 /// The number of values.
 #[derive(Clone)]
 enum Length {
-    DeviceCounters(usize),
+    Known(usize),
     /// The counter times `width`, at most `most`.
     Counted {
         counts: wgpu::Buffer,
@@ -45,7 +45,7 @@ impl<T: Pod> Buffer<T> {
             gpu: Arc::clone(gpu),
             raw,
             bytes: length * size_of::<T>(),
-            length: Length::DeviceCounters(length),
+            length: Length::Known(length),
             values: PhantomData,
         }
     }
@@ -63,7 +63,7 @@ impl<T: Pod> Buffer<T> {
     /// Sets the length to `length`; the values are arbitrary.
     pub fn resize(&mut self, length: usize) {
         self.reserve(length);
-        self.length = Length::DeviceCounters(length);
+        self.length = Length::Known(length);
     }
 
     /// Makes room for `capacity` values, and sets the length to `width` times the given counter on the device.
@@ -88,7 +88,7 @@ impl<T: Pod> Buffer<T> {
     /// Returns the maximum number of values.
     pub fn most(&self) -> usize {
         match self.length {
-            Length::DeviceCounters(length) => length,
+            Length::Known(length) => length,
             Length::Counted { most, .. } => most,
         }
     }
@@ -96,7 +96,7 @@ impl<T: Pod> Buffer<T> {
     /// Returns the number of values; `None` if it is stored on the device.
     pub fn known_len(&self) -> Option<usize> {
         match self.length {
-            Length::DeviceCounters(length) => Some(length),
+            Length::Known(length) => Some(length),
             Length::Counted { .. } => None,
         }
     }
@@ -104,7 +104,7 @@ impl<T: Pod> Buffer<T> {
     /// Returns the counter that holds the number of rows, if this number is on the device.
     pub fn counter(&self) -> Option<(&wgpu::Buffer, u32)> {
         match &self.length {
-            Length::DeviceCounters(_) => None,
+            Length::Known(_) => None,
             Length::Counted { counts, counter, .. } => Some((counts, *counter)),
         }
     }
@@ -140,7 +140,7 @@ impl<T: Pod> Buffer<T> {
         match (&self.length, count.as_deref()) {
             (Length::Counted { width, most, .. }, Some(&[count])) => (count as usize * width).min(*most),
             (length, _) => match length {
-                Length::DeviceCounters(length) => *length,
+                Length::Known(length) => *length,
                 Length::Counted { .. } => 0,
             },
         }

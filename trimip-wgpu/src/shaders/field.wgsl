@@ -20,7 +20,7 @@ fn densities(
     }
 }
 
-// Writes one row of `width` floats per sample.
+// Writes one row of `width` floats per sample, or per ray with deferred shading.
 @compute @workgroup_size(GROUP)
 fn color_inputs(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -32,11 +32,20 @@ fn color_inputs(
         return;
     }
     let start = params.width * i;
-    let direction = rays[owners[i]].direction;
-    if params.view > 0u && params.frequencies_of_view == 0u {
+    var ray = i;
+    if params.deferred == 0u {
+        ray = owners[i];
+    }
+    let direction = rays[ray].direction;
+    if params.view > 0u && params.encoding == HARMONICS {
         var harmonics = spherical_harmonics(direction);
         for (var j = 0u; j < params.view; j++) {
             rows[start + j] = harmonics[j];
+        }
+    } else if params.view > 0u && params.encoding == VORONOI {
+        var weights = soft_voronoi(direction, params.sharpness);
+        for (var j = 0u; j < params.view; j++) {
+            rows[start + j] = weights[j];
         }
     } else if params.view > 0u {
         for (var j = 0u; j < 3u; j++) {
