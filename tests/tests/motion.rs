@@ -1,6 +1,9 @@
 //! Checks of rendering many views of a model: rendering continues where it was interrupted, and the pictures become a
 //! video.
 
+use image::codecs::{gif::GifDecoder, webp::WebPDecoder};
+use image::{AnimationDecoder, RgbaImage};
+use std::io::Cursor;
 use std::{fs, path::Path, process::Stdio, time::SystemTime};
 use trimip_data::settings::DataConfig;
 use trimip_tests::binary::{Answer, command, run, tiny_and};
@@ -129,13 +132,14 @@ fn a_video_that_cannot_be_made_is_refused_before_the_work() {
     let here = folder.path();
     train(here);
     for (arguments, part) in [
-        (&["--turntable", "3", "--video", "a.avi"][..], "end it in .mp4, .mov, .mkv, .webm"),
+        (&["--turntable", "3", "--video", "a.avi"][..], "end it in .mp4, .gif, .webp, .mov, .mkv, .webm"),
         (&["--turntable", "3", "--video", "a"], "end it in"),
         (&["--video", "a.mp4"], "add --turntable N, --flythrough N or --path FILE"),
         (&["--turntable", "3", "--video", "a.mp4", "--rate", "nan"], "--rate above 0"),
         (&["--turntable", "3", "--video", "a.mp4", "--what", "depth"], "name color in --what"),
         (&["--turntable", "3", "--rate", "24"], "--video"),
-        (&["--turntable", "3", "--video", "a.mp4"], "no program `ffmpeg`"),
+        (&["--turntable", "3", "--video", "a.webm"], "no program `ffmpeg`"),
+        (&["--turntable", "3", "--video", "a.mp4", "--width", "4000", "--height", "9"], "at most 3840"),
     ] {
         let output = command(here, &[&["render", "run"], arguments].concat())
             .env("PATH", here.join("nowhere"))
@@ -150,6 +154,87 @@ fn a_video_that_cannot_be_made_is_refused_before_the_work() {
         assert!(err.contains(part), "{arguments:?}: {err}");
     }
     assert!(!here.join("run/renders").exists());
+}
+
+/// Returns the pictures of a film and their durations in milliseconds.
+fn animation<'a>(decoder: impl AnimationDecoder<'a>) -> (Vec<RgbaImage>, Vec<u32>) {
+    let frames = decoder.into_frames().collect_frames().unwrap();
+    let time = |frame: &image::Frame| {
+        let (numerator, denominator) = frame.delay().numer_denom_ms();
+        numerator / denominator
+    };
+    let times = frames.iter().map(time).collect();
+    (frames.into_iter().map(image::Frame::into_buffer).collect(), times)
+}
+
+/// Returns the PSNR of the colours of two pictures, in dB.
+fn psnr(a: &RgbaImage, b: &RgbaImage) -> f64 {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let squares = a
+        .pixels()
+        .zip(b.pixels())
+        .flat_map(|(a, b)| (0..3).map(|c| (f64::from(a.0[c]) - f64::from(b.0[c])).powi(2)));
+    let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+    10.0 * (255.0_f64.powi(2) * count / sum.max(1e-9)).log10()
+}
+
+#[test]
+fn films_are_written_without_other_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let film = |name: &str| {
+        let arguments =
+            ["render", "run", "--turntable", "7", "--width", "65", "--height", "49", "--rate", "8"];
+        let output = command(here, &[&arguments[..], &["--video", name]].concat())
+            .env("PATH", here.join("nowhere"))
+            .output()
+            .unwrap();
+        let err = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{name}: {err}");
+        assert!(String::from_utf8_lossy(&output.stdout).trim().ends_with(name), "{name}");
+        fs::read(here.join(name)).unwrap()
+    };
+    let webp = film("v.webp");
+    let pictures: Vec<RgbaImage> = (0..7)
+        .map(|i| image::load_from_memory(&picture(&here.join("run/renders"), i)).unwrap().into_rgba8())
+        .collect();
+    let (found, times) = animation(WebPDecoder::new(Cursor::new(&webp)).unwrap());
+    assert!(found == pictures, "WebP is exact");
+    assert_eq!(times, [125; 7]);
+
+    let gif = film("v.gif");
+    let (found, times) = animation(GifDecoder::new(Cursor::new(&gif)).unwrap());
+    // Hundredths of a second whose sum stays within one of 7/8 s.
+    assert!(
+        times.iter().all(|time| [120, 130].contains(time)) && times.iter().sum::<u32>() == 880,
+        "{times:?}"
+    );
+    assert_eq!(found.len(), 7);
+    for (found, picture) in found.iter().zip(&pictures) {
+        assert!(psnr(found, picture) > 28.0, "256 colours: {}", psnr(found, picture));
+    }
+
+    let mp4 = film("v.mp4");
+    for name in [&b"ftyp"[..], b"moov", b"avc1", b"avcC", b"stsz", b"mdat"] {
+        assert!(mp4.windows(4).any(|window| window == name), "{}", String::from_utf8_lossy(name));
+    }
+    assert!(mp4 == film("again.mp4"), "the same pictures give the same film");
+    // Another program reads it, where there is one.
+    let decode = ["-v", "error", "-i", "v.mp4", "-f", "rawvideo", "-pix_fmt", "rgba", "-"];
+    let Ok(output) = std::process::Command::new("ffmpeg").args(decode).current_dir(here).output() else {
+        eprintln!("no ffmpeg: the MP4 is not decoded");
+        return;
+    };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    // Sides are even in H.264: 66 by 50.
+    let frames: Vec<&[u8]> = output.stdout.chunks(66 * 50 * 4).collect();
+    assert_eq!((frames.len(), output.stdout.len() % (66 * 50 * 4)), (7, 0));
+    for (frame, picture) in frames.into_iter().zip(&pictures) {
+        let frame = RgbaImage::from_raw(66, 50, frame.to_vec()).unwrap();
+        let frame = image::imageops::crop_imm(&frame, 0, 0, 65, 49).to_image();
+        assert!(psnr(&frame, picture) > 30.0, "{}", psnr(&frame, picture));
+    }
 }
 
 /// In place of ffmpeg, the test uses a program that records its input.
@@ -169,15 +254,15 @@ fn the_encoder_gets_the_pictures_in_order_and_its_failure_leaves_nothing() {
     let path = format!("{}:{}", here.join("bin").display(), std::env::var("PATH").unwrap());
     let render = || {
         let arguments = ["render", "run", "--turntable", "5", "--width", "24", "--height", "17"];
-        let video = ["--video", "out/v.mp4", "--rate", "12"];
+        let video = ["--video", "out/v.mkv", "--rate", "12"];
         command(here, &[&arguments[..], &video].concat()).env("PATH", &path).output().unwrap()
     };
     encoder("echo \"$@\" > arguments; cat > \"$last\"");
     let output = render();
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(String::from_utf8_lossy(&output.stdout).trim().ends_with("out/v.mp4"));
+    assert!(String::from_utf8_lossy(&output.stdout).trim().ends_with("out/v.mkv"));
     let all: Vec<u8> = (0..5).flat_map(|i| picture(&here.join("run/renders"), i)).collect();
-    assert!(fs::read(here.join("out/v.mp4")).unwrap() == all, "the pictures, one after the other");
+    assert!(fs::read(here.join("out/v.mkv")).unwrap() == all, "the pictures, one after the other");
     let arguments = fs::read_to_string(here.join("arguments")).unwrap();
     assert!(arguments.contains("-framerate 12") && arguments.contains("yuv420p"), "{arguments}");
     for script in ["cat > \"$last\"; echo no such codec >&2; exit 1", "echo no such codec >&2; exit 1"] {
@@ -185,8 +270,8 @@ fn the_encoder_gets_the_pictures_in_order_and_its_failure_leaves_nothing() {
         let output = render();
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(1), "{err}");
-        assert!(err.contains("out/v.mp4") && err.contains("no such codec"), "{err}");
-        assert!(fs::read(here.join("out/v.mp4")).unwrap() == all, "the earlier video stays");
+        assert!(err.contains("out/v.mkv") && err.contains("no such codec"), "{err}");
+        assert!(fs::read(here.join("out/v.mkv")).unwrap() == all, "the earlier video stays");
         assert_eq!(fs::read_dir(here.join("out")).unwrap().count(), 1, "nothing unfinished is left");
     }
 }

@@ -37,10 +37,10 @@ fn named(path: &Path, ending: &str) -> PathBuf {
 
 /// Lets `fill` write a temporary file next to `path`, flushes it to disk, renames it to `path` and flushes the folder.
 /// On failure the old file stays unchanged, and the temporary file is removed.
-pub(crate) fn replace_atomically<T>(
-    path: &Path,
-    fill: impl FnOnce(&mut File) -> std::io::Result<T>,
-) -> Result<T> {
+///
+/// # Errors
+/// When `fill` fails, or the file cannot be created, flushed or renamed.
+pub fn replace_atomically<T>(path: &Path, fill: impl FnOnce(&mut File) -> std::io::Result<T>) -> Result<T> {
     let failed = |error: std::io::Error| {
         let advice = match is_open_elsewhere(&error) {
             true => "close it in the program that has it open, or choose another place",

@@ -105,7 +105,7 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
-    /// With --path, --turntable or --flythrough: also encode the colours as a video (.mp4, .mov, .mkv, .webm) with the program ffmpeg
+    /// With --path, --turntable or --flythrough: also encode the colours as a film: .mp4, .gif or .webp, or .mov, .mkv or .webm with the program ffmpeg
     #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
     pub video: Option<PathBuf>,
     /// With --video: frames per second

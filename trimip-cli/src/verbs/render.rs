@@ -232,7 +232,7 @@ fn check_video(arguments: &RenderArguments, path: &Path, what: &[Quantity], came
     if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         run_folder::create_writable(folder)?;
     }
-    video::check(path)
+    video::check(path, cameras.first().map_or([1; 2], |(_, camera)| size(camera).into()))
 }
 
 /// Summarises the rendering speed of the views, without the time for writing files.

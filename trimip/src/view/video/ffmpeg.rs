@@ -1,47 +1,20 @@
-//! Encodes rendered pictures as videos with the `ffmpeg` program of the system.
+//! Films that the program `ffmpeg` of the system encodes.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use trimip_core::{Advice, Error, Place, Result};
-
-/// Supported extensions of file names.
-const ENDINGS: [&str; 4] = ["mp4", "mov", "mkv", "webm"];
+use trimip_core::{Error, Result};
 
 /// Quality of the encoder, on the scale of H.264's constant rate factor. At this value no difference is visible in motion.
 const QUALITY: &str = "16";
 
-/// Fails if a video of this name cannot be written on this machine.
-///
-/// # Errors
-/// When the extension is not that of a supported video format, or there is no `ffmpeg`.
-pub fn check(path: &Path) -> Result<()> {
-    let end = path.extension().map(|end| end.to_string_lossy().to_lowercase());
-    if !end.is_some_and(|end| ENDINGS.contains(&end.as_str())) {
-        let expected = format!("end it in .{}", ENDINGS.join(", ."));
-        return Err(Error::input(
-            Place::argument("video", path.display()),
-            "names no video format",
-            expected,
-        ));
-    }
+/// Returns true if the program runs on this machine.
+pub fn is_there() -> bool {
     let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
-    if found.is_ok_and(|status| status.success()) {
-        return Ok(());
-    }
-    Err(Error::input(
-        Place::argument("video", path.display()),
-        "no program `ffmpeg` runs on this machine",
-        Advice::Argument("install it, or leave {video} out and encode the pictures elsewhere".into()),
-    ))
+    found.is_ok_and(|status| status.success())
 }
 
-/// Encodes PNG files of equal size, in order, at `rate` pictures per second. The video is written to a temporary file
-/// next to `path`, then renamed. `watch` receives the number of pictures done and returns false to stop; the result is
-/// then false, and there is no video.
-///
-/// # Errors
-/// When a picture cannot be read, or `ffmpeg` fails; the message contains the last line of its output.
+/// Implements [`encode`](super::encode).
 pub fn encode(
     path: &Path,
     pictures: &[PathBuf],
