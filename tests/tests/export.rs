@@ -97,8 +97,48 @@ fn read_glb(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     (places, indices.chunks_exact(3).map(|corners| corners.try_into().unwrap()).collect())
 }
 
+/// Returns the files of a USDZ: an archive without compression.
+fn unpack(path: &Path) -> Vec<(String, Vec<u8>)> {
+    let bytes = fs::read(path).unwrap();
+    let half = |at: usize| usize::from(u16::from_le_bytes(bytes[at..at + 2].try_into().unwrap()));
+    let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
+    let (mut files, mut at) = (Vec::new(), 0);
+    while &bytes[at..at + 4] == b"PK\x03\x04" {
+        let (name, extra, length) = (half(at + 26), half(at + 28), word(at + 18));
+        let first = at + 30 + name + extra;
+        let name = String::from_utf8(bytes[at + 30..][..name].to_vec()).unwrap();
+        files.push((name, bytes[first..first + length].to_vec()));
+        at = first + length;
+    }
+    files
+}
+
+/// Returns the numbers of an array in the layer of a USDZ.
+fn numbers(layer: &str, name: &str) -> Vec<f64> {
+    let (_, rest) = layer.split_once(&format!("{name} = [")).unwrap_or_else(|| panic!("{name}"));
+    let (list, _) = rest.split_once(']').unwrap();
+    let parts = list.split(|c: char| "(), ".contains(c)).filter(|part| !part.is_empty());
+    parts.map(|part| part.parse().unwrap()).collect()
+}
+
+/// Returns the vertices and triangles of a USDZ file.
+fn read_usdz(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
+    let files = unpack(path);
+    let layer = String::from_utf8(files[0].1.clone()).unwrap();
+    assert_eq!((files.len(), files[0].0.as_str()), (1, "surface.usda"));
+    let places: Vec<[f64; 3]> =
+        numbers(&layer, "points").chunks_exact(3).map(|place| place.try_into().unwrap()).collect();
+    for name in ["normals", "primvars:displayColor"] {
+        assert_eq!(numbers(&layer, name).len(), 3 * places.len(), "{name}");
+    }
+    let indices: Vec<usize> =
+        numbers(&layer, "faceVertexIndices").into_iter().map(|index| index as usize).collect();
+    assert!(numbers(&layer, "faceVertexCounts").iter().all(|count| *count == 3.0));
+    (places, indices.chunks_exact(3).map(|corners| corners.try_into().unwrap()).collect())
+}
+
 #[test]
-fn three_formats_hold_the_same_closed_mesh() {
+fn every_format_holds_the_same_closed_mesh() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     train(here);
@@ -124,7 +164,7 @@ fn three_formats_hold_the_same_closed_mesh() {
         assert!(answer.out.contains("closed and manifold"), "{}", answer.out);
         assert!(answer.out.contains("masks of 2 test views"), "{}", answer.out);
     };
-    ["mesh.obj", "out/mesh.ply", "mesh.GLB"].into_iter().for_each(export);
+    ["mesh.obj", "out/mesh.ply", "mesh.GLB", "mesh.usdz"].into_iter().for_each(export);
     let (places, triangles) = read_obj(&here.join("mesh.obj"));
     assert!(triangles.len() > 100, "{} triangles", triangles.len());
     let mut edges = std::collections::BTreeMap::new();
@@ -134,12 +174,48 @@ fn three_formats_hold_the_same_closed_mesh() {
         }
     }
     assert!(edges.values().all(|sum| *sum == 0), "every edge is passed both ways");
-    for (found, name) in
-        [(read_ply(&here.join("out/mesh.ply")), "PLY"), (read_glb(&here.join("mesh.GLB")), "GLB")]
-    {
+    for (found, name) in [
+        (read_ply(&here.join("out/mesh.ply")), "PLY"),
+        (read_glb(&here.join("mesh.GLB")), "GLB"),
+        (read_usdz(&here.join("mesh.usdz")), "USDZ"),
+    ] {
         assert!(found.1 == triangles && found.0.len() == places.len(), "{name}");
         let same = |a: &[f64; 3], b: &[f64; 3]| (0..3).all(|axis| (a[axis] - b[axis]).abs() < 1e-6);
         assert!(found.0.iter().zip(&places).all(|(a, b)| same(a, b)), "{name}");
+    }
+}
+
+#[test]
+fn a_mesh_for_collisions_is_coarse_and_closed() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    let export = ["export", "mesh", "run", "--resolution", "32", "--level", "0.01", "--out", "mesh.obj"];
+    let answer = run(here, &[&export[..], &["--collision", "60"]].concat());
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert!(answer.out.contains("mesh_collision.obj"), "{}", answer.out);
+    let (fine, coarse) = (read_obj(&here.join("mesh.obj")), read_obj(&here.join("mesh_collision.obj")));
+    assert!(
+        fine.1.len() > 100 && (4..=70).contains(&coarse.1.len()),
+        "{} of {}",
+        coarse.1.len(),
+        fine.1.len()
+    );
+    let mut edges = std::collections::BTreeMap::new();
+    for [a, b, c] in &coarse.1 {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            *edges.entry((*from.min(to), *from.max(to))).or_insert(0) += if from < to { 1 } else { -1 };
+        }
+    }
+    assert!(edges.values().all(|sum| *sum == 0), "closed");
+    // It lies about where the fine mesh lies.
+    for axis in 0..3 {
+        let end = |places: &[[f64; 3]], pick: fn(f64, f64) -> f64| {
+            places.iter().map(|place| place[axis]).reduce(pick).unwrap()
+        };
+        for pick in [f64::min, f64::max] {
+            assert!((end(&fine.0, pick) - end(&coarse.0, pick)).abs() < 0.3, "axis {axis}");
+        }
     }
 }
 
@@ -171,8 +247,8 @@ fn what_cannot_be_exported_is_refused_and_nothing_is_written() {
     fs::write(here.join("mesh.ply"), "mine").unwrap();
     fs::write(here.join("file"), "").unwrap();
     for (arguments, code, part) in [
-        (&["--out", "mesh.stl"][..], 2, "end it in .ply, .obj or .glb"),
-        (&["--out", "mesh"], 2, "end it in .ply, .obj or .glb"),
+        (&["--out", "mesh.stl"][..], 2, "end it in .ply, .obj, .glb or .usdz"),
+        (&["--out", "mesh"], 2, "end it in .ply, .obj, .glb or .usdz"),
         (&["--out", "file/mesh.ply"], 2, "file"),
         (&["--resolution", "7"], 2, "8..=2048"),
         (&["--level=-1"], 2, "positive density"),
@@ -262,7 +338,7 @@ fn exported_cameras_are_read_again_from_every_format() {
 }
 
 #[test]
-fn a_texture_belongs_to_its_mesh_in_both_formats() {
+fn a_texture_belongs_to_its_mesh_in_every_format() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     train(here);
@@ -317,6 +393,19 @@ fn a_texture_belongs_to_its_mesh_in_both_formats() {
         count += 1;
     }
     assert_eq!(8 * count, coordinates.len());
+
+    // So has the USDZ, whose v grows upward too.
+    assert_eq!(export(&["--texture", "128", "--out", "mesh.usdz"]).code, Some(0));
+    let files = unpack(&here.join("mesh.usdz"));
+    assert_eq!(files[1].0, "texture.png");
+    assert_eq!(image::load_from_memory(&files[1].1).unwrap().to_rgb8(), texture);
+    let layer = String::from_utf8(files[0].1.clone()).unwrap();
+    assert!(layer.contains("@texture.png@") && layer.contains("</surface/material>"));
+    let found = numbers(&layer, "primvars:st");
+    assert_eq!(found.len(), floats.len());
+    for (found, pair) in found.as_chunks::<2>().0.iter().zip(floats.as_chunks::<2>().0) {
+        assert_eq!(found.map(|x| x as f32), [pair[0], 1.0 - pair[1]]);
+    }
 
     let finer =
         ["--resolution", "100", "--triangles", "0", "--level", "0.3", "--specks", "0", "--seen-by", "0"];

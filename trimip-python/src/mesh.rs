@@ -1,5 +1,6 @@
 //! `trimip.Mesh`: the surface of a model.
 
+use crate::calls::detached;
 use crate::error::raised;
 use numpy::{PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
@@ -55,9 +56,9 @@ impl Mesh {
         self.0.defects() == mesh::Defects::default()
     }
 
-    /// Writes a PLY, OBJ or GLB file, as the file extension specifies; returns its size in bytes.
+    /// Writes a PLY, OBJ, GLB or USDZ file, as the file extension specifies; returns its size in bytes.
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
-        py.detach(|| mesh::write(&self.0, &path)).map_err(raised)
+        detached(py, || mesh::write(&self.0, &path))?.map_err(raised)
     }
 
     fn __repr__(&self) -> String {

@@ -3,7 +3,7 @@
 //! ```text
 //! settings ─────────────────────────┐
 //! photographs → data::open → Scene ─┴→ Training → run folder → Model → Viewer → Frame → PNG, EXR
-//!                                                                      └→ mesh::extract → Mesh → PLY, OBJ, GLB
+//!                                                                      └→ mesh::extract → Mesh → PLY, OBJ, GLB, USDZ
 //! ```
 //!
 //! Start with [`settings::defaults`], [`Training`] and [`Viewer`]:

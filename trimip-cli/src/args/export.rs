@@ -15,7 +15,7 @@ pub struct ExportArguments {
 /// The form of the output of `export`.
 #[derive(Subcommand, Debug)]
 pub enum ExportWhat {
-    /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ or GLB
+    /// The surface as triangles with normals and colours, in the units and axes of the cameras: PLY, OBJ, GLB or USDZ
     Mesh(MeshArguments),
     /// A folder for any static web server: the model, and a page that renders it on the visitor's GPU (WebGPU)
     Web(WebArguments),
@@ -75,7 +75,7 @@ pub struct WebArguments {
 pub struct MeshArguments {
     /// Run folder or model file
     pub model: PathBuf,
-    /// File to write; its name ends in .ply, .obj or .glb [default: mesh.ply next to the model]
+    /// File to write; its name ends in .ply, .obj, .glb or .usdz [default: mesh.ply next to the model]
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Number of grid cells along the longest side of the box
@@ -107,9 +107,12 @@ pub struct MeshArguments {
     /// Leave out the colours of the vertices
     #[arg(long)]
     pub no_colors: bool,
-    /// Write a texture of N by N texels instead of colours of the vertices (GLB or OBJ)
+    /// Write a texture of N by N texels instead of colours of the vertices (GLB, OBJ or USDZ)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(64..=16_384))]
     pub texture: Option<u32>,
+    /// Also write a mesh of about N triangles without colours, for collisions: `mesh_collision.glb` next to `mesh.glb`
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
+    pub collision: Option<u32>,
     /// Compare pictures of the mesh with every N-th test photograph (needs the data set)
     #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     pub psnr: Option<u32>,

@@ -9,7 +9,7 @@ use crate::{
     progress::bar,
     terminal,
 };
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::mesh::{self, Coordinates, Extracted, Extraction, Goal, MeshFormat};
@@ -100,10 +100,16 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
         }
     };
     bar.finish_and_clear();
-    let files = match &textured {
+    let mut files = match &textured {
         None => vec![(out.clone(), mesh::write_in(&extracted.mesh, coordinates, &out)?)],
         Some(((mesh, texture), _)) => mesh::write_textured(mesh, texture, coordinates, &out)?,
     };
+    if let Some(count) = arguments.collision {
+        let mesh = mesh::for_collisions(&extracted.mesh, count as usize);
+        let file = with_collision(&out);
+        terminal::prose(format!("collisions: {} triangles", mesh.triangles.len()));
+        files.push((file.clone(), mesh::write_in(&mesh, coordinates, &file)?));
+    }
     if !origin.is_zero() {
         terminal::prose(match coordinates {
             Coordinates::Stated => {
@@ -157,8 +163,16 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     Ok(0)
 }
 
+/// Returns the path of the mesh for collisions: `_collision` follows the name of the file.
+fn with_collision(out: &Path) -> PathBuf {
+    let mut name = out.file_stem().unwrap_or_default().to_os_string();
+    name.push("_collision.");
+    name.push(out.extension().unwrap_or_default());
+    out.with_file_name(name)
+}
+
 /// Returns the path of `mesh.ply` in the run folder, or next to the model file.
-fn beside(model: &std::path::Path) -> PathBuf {
+fn beside(model: &Path) -> PathBuf {
     let folder = if model.is_dir() { model } else { model.parent().unwrap_or("".as_ref()) };
     folder.join("mesh.ply")
 }

@@ -172,7 +172,7 @@ class Mesh:
     def is_closed(self) -> bool:
         """True if the mesh is closed, manifold and oriented."""
     def write(self, path: str | PathLike[str]) -> int:
-        """Writes a PLY, OBJ or GLB file, as the file extension specifies; returns its size in bytes."""
+        """Writes a PLY, OBJ, GLB or USDZ file, as the file extension specifies; returns its size in bytes."""
 
 class Model:
     """A trained model on a backend. Several threads may share a model; their calls take turns."""

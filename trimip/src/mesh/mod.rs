@@ -15,6 +15,7 @@ mod silhouettes;
 mod simplify;
 mod surface;
 mod texture;
+mod usdz;
 mod write;
 
 pub use clean::{Removed, clean};
@@ -22,7 +23,7 @@ pub use extract::{Extracted, Extraction, extract};
 pub use marching::{Grid, march};
 pub use pictures::{Likeness, picture, psnr};
 pub use silhouettes::{Overlap, overlap, rasterise};
-pub use simplify::{Goal, simplify};
+pub use simplify::{Goal, for_collisions, simplify};
 pub use surface::{Defects, Mesh};
 pub use texture::{SIDES, Texture, texture};
 pub use write::{Coordinates, MeshFormat, write, write_in, write_textured};

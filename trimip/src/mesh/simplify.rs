@@ -38,6 +38,15 @@ pub fn simplify(mesh: &mut Mesh, goal: Goal) {
     mesh.drop_unused();
 }
 
+/// Returns a mesh of at most about `triangles` triangles without colours, for collisions. A closed mesh stays closed.
+pub fn for_collisions(mesh: &Mesh, triangles: usize) -> Mesh {
+    let mut coarse = Mesh { colors: Vec::new(), ..mesh.clone() };
+    simplify(&mut coarse, Goal::Triangles(triangles));
+    // Normals of the fine surface do not fit the coarse triangles.
+    coarse.find_normals();
+    coarse
+}
+
 /// A side of a triangle: the triangle, and the corner at which the side starts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Side {

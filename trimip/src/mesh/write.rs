@@ -1,11 +1,12 @@
-//! Mesh files: PLY (binary), OBJ and GLB (binary glTF 2.0), with normals and vertex colours where the mesh has them. Positions keep the
+//! Mesh files: PLY (binary), OBJ, GLB (binary glTF 2.0) and USDZ, with normals and vertex colours where the mesh has them. Positions keep the
 //! units and axes of the scene; viewers of glTF take its y axis as up, whatever the scene's up axis is. Positions far from the origin of
-//! the coordinates need 64 bits: a PLY file then stores doubles, an OBJ file all digits, and a GLB file a node that translates the
-//! vertices.
+//! the coordinates need 64 bits: a PLY file then stores doubles, an OBJ file all digits, and a GLB or USDZ file a node that translates
+//! the vertices.
 
-use super::colors::eight_bits;
+use super::colors::{eight_bits, linear};
 use super::surface::Mesh;
 use super::texture::Texture;
+use super::usdz::usdz;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result, atomic::write_atomically};
@@ -20,19 +21,26 @@ pub enum MeshFormat {
     Obj,
     /// Binary glTF 2.0; colours linear, as the format demands.
     Glb,
+    /// Universal Scene Description as text, in an archive; colours linear.
+    Usdz,
 }
 
 impl MeshFormat {
     /// Returns the format that the extension of a file name stands for.
     ///
     /// # Errors
-    /// When the extension is none of the three.
+    /// When the extension is none of the four.
     pub fn of(path: &Path) -> Result<Self> {
         match path.extension().map(|end| end.to_string_lossy().to_lowercase()).as_deref() {
             Some("ply") => Ok(Self::Ply),
             Some("obj") => Ok(Self::Obj),
             Some("glb") => Ok(Self::Glb),
-            _ => Err(Error::input(path.display(), "names no mesh format", "end it in .ply, .obj or .glb")),
+            Some("usdz") => Ok(Self::Usdz),
+            _ => Err(Error::input(
+                path.display(),
+                "names no mesh format",
+                "end it in .ply, .obj, .glb or .usdz",
+            )),
         }
     }
 }
@@ -44,8 +52,10 @@ impl MeshFormat {
     /// When it has none; `path` is the file of the message.
     pub fn expect_textures(self, path: &Path) -> Result<Self> {
         match self {
-            Self::Ply => Err(Error::input(path.display(), "PLY has no textures", "end it in .glb or .obj")),
-            Self::Obj | Self::Glb => Ok(self),
+            Self::Ply => {
+                Err(Error::input(path.display(), "PLY has no textures", "end it in .glb, .obj or .usdz"))
+            }
+            Self::Obj | Self::Glb | Self::Usdz => Ok(self),
         }
     }
 }
@@ -60,7 +70,7 @@ pub enum Coordinates {
     #[default]
     Stated,
     /// Coordinates of the mesh, which fit into 32 bits. The file states the `offset` to add: in a comment of a PLY or OBJ, or in the
-    /// `extras` of a GLB's asset.
+    /// `extras` of a GLB's asset, or in the documentation of a USDZ.
     Local,
 }
 
@@ -82,6 +92,7 @@ pub fn write_in(mesh: &Mesh, coordinates: Coordinates, path: &Path) -> Result<u6
         MeshFormat::Ply => ply(mesh, coordinates),
         MeshFormat::Obj => obj(mesh, coordinates, None).into_bytes(),
         MeshFormat::Glb => glb(mesh, coordinates, None)?,
+        MeshFormat::Usdz => package(mesh, coordinates, None)?,
     };
     write_atomically(path, &bytes)?;
     Ok(bytes.len() as u64)
@@ -118,6 +129,7 @@ pub fn write_textured(
             keep(material.clone(), text.as_bytes())?;
             keep(path.into(), obj(mesh, coordinates, Some((texture, &name(&material)))).as_bytes())?;
         }
+        MeshFormat::Usdz => keep(path.into(), &package(mesh, coordinates, Some((texture, png)))?)?,
         _ => keep(path.into(), &glb(mesh, coordinates, Some((texture, png)))?)?,
     }
     Ok(files)
@@ -128,6 +140,13 @@ fn offset(mesh: &Mesh, coordinates: Coordinates) -> Option<String> {
     let [x, y, z] = mesh.origin.numbers();
     let wanted = coordinates == Coordinates::Local && !mesh.origin.is_zero();
     wanted.then(|| format!("offset {x} {y} {z} is to be added to all positions"))
+}
+
+/// Returns the bytes of a USDZ. A texture comes with its PNG.
+fn package(mesh: &Mesh, coordinates: Coordinates, texture: Option<(&Texture, Vec<u8>)>) -> Result<Vec<u8>> {
+    let moved = coordinates == Coordinates::Stated && !mesh.origin.is_zero();
+    let translation = moved.then(|| mesh.origin.numbers());
+    usdz(mesh, texture, translation, offset(mesh, coordinates).as_deref())
 }
 
 /// Returns the positions in the photographs' coordinates, if these are requested and do not fit into 32 bits.
@@ -323,9 +342,4 @@ fn glb(mesh: &Mesh, coordinates: Coordinates, texture: Option<(&Texture, Vec<u8>
     }
     bytes.extend(data);
     Ok(bytes)
-}
-
-/// Converts an sRGB value to linear light (IEC 61966-2-1).
-fn linear(value: f32) -> f32 {
-    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
