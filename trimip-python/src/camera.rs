@@ -7,7 +7,7 @@ use numpy::{AllowTypeChange, PyArray1, PyArray2, PyArrayLike1, PyArrayLikeDyn, P
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::Value;
-use trimip::view::cameras::{aimed, posed, resized};
+use trimip::view::cameras::{MAX_SIDE, aimed, posed, resized};
 use trimip::{Intrinsics, data};
 
 /// Any array-like object of numbers.
@@ -23,8 +23,8 @@ pub struct Camera(pub trimip::Camera);
 
 /// The projection of a camera, as given in Python.
 struct Projection<'a, 'py> {
-    width: u32,
-    height: u32,
+    width: i64,
+    height: i64,
     fov: Option<f64>,
     focal: [Option<f64>; 2],
     centre: [Option<f64>; 2],
@@ -34,9 +34,11 @@ struct Projection<'a, 'py> {
 impl Projection<'_, '_> {
     fn intrinsics(&self) -> PyResult<Intrinsics> {
         let Self { width, height, fov, focal: [fx, fy], centre: [cx, cy], lens } = *self;
-        if width == 0 || height == 0 {
-            return Err(refused("Camera", format!("{width} by {height} pixels"), "give at least one pixel"));
-        }
+        let side = |side: i64| u32::try_from(side).ok().filter(|side| (1..=MAX_SIDE as u32).contains(side));
+        let (Some(width), Some(height)) = (side(width), side(height)) else {
+            let advice = format!("give from one to {MAX_SIDE} pixels along each side");
+            return Err(refused("Camera", format!("{width} by {height} pixels"), &advice));
+        };
         let mut k = match (fov, fx) {
             (Some(fov), None) if fov > 0.0 && fov < 180.0 => {
                 Intrinsics::from_angle(width, height, fov.to_radians())
@@ -73,8 +75,8 @@ impl Camera {
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn new(
         pose: Numbers<'_>,
-        width: u32,
-        height: u32,
+        width: i64,
+        height: i64,
         fov: Option<f64>,
         fx: Option<f64>,
         fy: Option<f64>,
@@ -94,8 +96,8 @@ impl Camera {
     fn look_at(
         eye: Three<'_>,
         target: Three<'_>,
-        width: u32,
-        height: u32,
+        width: i64,
+        height: i64,
         up: Option<Three<'_>>,
         fov: Option<f64>,
         fx: Option<f64>,
@@ -113,8 +115,8 @@ impl Camera {
     #[expect(clippy::too_many_arguments, reason = "keywords in Python")]
     fn batch(
         poses: Numbers<'_>,
-        width: u32,
-        height: u32,
+        width: i64,
+        height: i64,
         fov: Option<Numbers<'_>>,
         fx: Option<Numbers<'_>>,
         fy: Option<Numbers<'_>>,
@@ -151,7 +153,10 @@ impl Camera {
 
     /// Returns the same view with `factor` times as many pixels along each side.
     fn resized(&self, factor: f64) -> PyResult<Self> {
-        let intrinsics = resized(self.0.intrinsics, factor).map_err(raised)?;
+        let advice = format!("give a number above 0 that keeps the picture within {MAX_SIDE} pixels");
+        let resized = resized(self.0.intrinsics, factor);
+        let intrinsics =
+            resized.map_err(|_| refused("factor", format!("{factor} is out of range"), &advice))?;
         Ok(Self(trimip::Camera { intrinsics, ..self.0 }))
     }
 

@@ -1,5 +1,6 @@
 //! `trimip.capture`, and the guard process between Python and the programs that a capture calls.
 
+use crate::calls::detached;
 use crate::error::{raised, refused};
 use crate::listening::Listener;
 use pyo3::prelude::*;
@@ -69,7 +70,7 @@ pub fn capture(
         return Err(refused("sys.executable", "names no interpreter", "call trimip-cli capture instead"));
     }
     let listener = Listener::new(callback);
-    let outcome = py.detach(|| {
+    let outcome = detached(py, || {
         std::thread::scope(|scope| {
             let work = scope.spawn(|| {
                 trimip_capture::run(&request, &listener.stop, &|event: &Event<'_>| listener.tell(event))
@@ -80,7 +81,7 @@ pub fn capture(
             }
             work.join()
         })
-    });
+    })?;
     listener.end()?;
     match outcome {
         Ok(captured) => captured.map(|captured| captured.root).map_err(raised),

@@ -2,8 +2,9 @@
 //!
 //! Arrays are numpy arrays, errors are exceptions with the program's text, and the interpreter lock is released while the library works.
 //! `camera`, `scene`, `model`, `mesh` and `train` have one class each, and `capture` one function. `listening` handles callbacks and Ctrl-C
-//! during long work, `value` converts settings and events, `error` converts errors.
+//! during long work, `calls` runs the library without the interpreter lock, `value` converts settings and events, `error` converts errors.
 
+mod calls;
 mod camera;
 mod capture;
 mod error;

@@ -1,5 +1,6 @@
 //! `trimip.Model`: a trained model that can be rendered, queried and measured.
 
+use crate::calls::{detached, expect_memory};
 use crate::camera::{Camera, Numbers};
 use crate::error::{raised, refused};
 use crate::mesh::Mesh;
@@ -14,6 +15,13 @@ use trimip::run::lock_for_writing;
 use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
 use trimip_core::{Query, field::encoders, run::evaluate::ViewResult, scene::origin::LocalOrigin};
+
+/// Bytes of a rendered pixel: as the library returns it, and as the arrays of a [`Frame`] hold it.
+const BYTES_OF_PIXEL: u64 = 2 * size_of::<trimip_core::Pixel>() as u64;
+
+/// Bytes of a queried point: its coordinates and direction as given and as the library takes them, and the answer twice.
+const BYTES_OF_QUERY: u64 = 2
+    * (size_of::<[f64; 6]>() + size_of::<Query>() + size_of::<trimip_core::engine::batch::Radiance>()) as u64;
 
 /// Rendered views as arrays: [height, width, …] for one view, [views, height, width, …] for several.
 #[pyclass(frozen, get_all, module = "trimip")]
@@ -50,7 +58,7 @@ impl Frame {
         let color =
             self.color.bind(py).to_vec().map_err(|error| refused("Frame", error, "copy its arrays"))?;
         let picture = pictures::rgb_image(width as u32, height as u32, color.as_chunks::<3>().0);
-        py.detach(|| pictures::png(picture)).map(Some).map_err(raised)
+        detached(py, || pictures::png(picture))?.map(Some).map_err(raised)
     }
 }
 
@@ -64,7 +72,7 @@ impl Frame {
         }
         let several = || refused("Frame", "holds several views", "render the view to save");
         let png = self.png(py)?.ok_or_else(several)?;
-        py.detach(|| trimip_core::atomic::write_atomically(&path, &png)).map_err(raised)
+        detached(py, || trimip_core::atomic::write_atomically(&path, &png))?.map_err(raised)
     }
 
     /// Returns the PNG that a notebook shows; None for several views.
@@ -116,7 +124,7 @@ pub struct Model {
 impl Model {
     /// Loads a model onto the backend that its settings name.
     pub fn open(py: Python<'_>, model: trimip::model::Model) -> PyResult<Self> {
-        let viewer = py.detach(|| backends::load(&model)).map_err(raised)?;
+        let viewer = detached(py, || backends::load(&model))?.map_err(raised)?;
         Ok(Self { model, viewer: Mutex::new(viewer) })
     }
 
@@ -132,10 +140,10 @@ impl Model {
         work: impl FnOnce(&mut dyn Viewer, &mut Interrupted) -> trimip::Result<Option<T>> + Send,
     ) -> PyResult<T> {
         let mut interrupted = Interrupted::default();
-        let done = py.detach(|| {
+        let done = detached(py, || {
             let mut viewer = self.viewer.lock().unwrap_or_else(PoisonError::into_inner);
             work(&mut **viewer, &mut interrupted)
-        });
+        })?;
         interrupted.raise()?;
         done.map_err(raised)?.ok_or_else(|| raised(trimip::Error::stopped()))
     }
@@ -146,8 +154,9 @@ impl Model {
         directions: Option<&Numbers<'_>>,
         radius: Option<f64>,
     ) -> PyResult<Vec<Query>> {
+        let count = points.as_array().len() / 3;
+        expect_memory(&format!("a query of {count} points"), count as u64 * BYTES_OF_QUERY)?;
         let points = threes("points", points)?;
-        let count = points.len();
         let directions = match directions.map(|given| threes("directions", given)).transpose()? {
             None => vec![[0.0, 0.0, -1.0]; count],
             Some(given) if given.len() == 1 => vec![given[0]; count],
@@ -180,17 +189,18 @@ impl Model {
     #[pyo3(signature = (path, settings=None))]
     fn load(py: Python<'_>, path: PathBuf, settings: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let assignments = value::assignments(settings)?;
-        let model = py.detach(|| {
+        let model = detached(py, || {
             let mut model = trimip::read_model(&path)?;
             settings::override_model(&mut model, &assignments)?;
             Ok(model)
-        });
+        })?;
         Self::open(py, model.map_err(raised)?)
     }
 
     /// Renders one view. Its arrays have the shape [height, width, …].
     fn render(&self, py: Python<'_>, camera: &Camera) -> PyResult<Frame> {
         let camera = self.origin().local(camera.0);
+        expect_room(1, &camera)?;
         let frame = self.work(py, |viewer, interrupted| {
             viewer.render_watched(&camera, &mut |_, _| interrupted.goes_on())
         })?;
@@ -202,6 +212,7 @@ impl Model {
         let Some(first) = cameras.first().map(|camera| camera.0.intrinsics) else {
             return Err(refused("cameras", "none", "give at least one"));
         };
+        expect_room(cameras.len(), &cameras[0].0)?;
         let size = [first.height, first.width];
         if cameras.iter().any(|camera| [camera.0.intrinsics.height, camera.0.intrinsics.width] != size) {
             return Err(refused("cameras", "pictures of different sizes", "render them one by one"));
@@ -250,9 +261,11 @@ impl Model {
         radius: Option<f64>,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let queries = self.queries(&points, None, radius)?;
-        let found = self.work(py, |viewer, _| viewer.features(&queries).map(Some))?;
         let config = &self.model.config;
         let width = encoders::of(config).width(config);
+        let bytes = (queries.len() * width * size_of::<f32>()) as u64;
+        expect_memory(&format!("features of {} points", queries.len()), bytes)?;
+        let found = self.work(py, |viewer, _| viewer.features(&queries).map(Some))?;
         PyArray1::from_vec(py, found).reshape([&leading(&points)[..], &[width]].concat())
     }
 
@@ -319,7 +332,7 @@ impl Model {
             let _held = lock_for_writing(&path)?;
             self.model.write(&path)
         };
-        py.detach(write).map_err(raised)
+        detached(py, write)?.map_err(raised)
     }
 
     /// All settings, as nested dictionaries.
@@ -351,6 +364,13 @@ impl Model {
     fn __repr__(&self) -> String {
         format!("Model({:?}, {})", self.model.config.encoder.kind, self.model.config.backend)
     }
+}
+
+/// Checks that there is memory for `views` pictures of the size of `camera`.
+fn expect_room(views: usize, camera: &trimip::Camera) -> PyResult<()> {
+    let [width, height] = [camera.intrinsics.width, camera.intrinsics.height].map(u64::from);
+    let bytes = views as u64 * width * height * BYTES_OF_PIXEL;
+    expect_memory(&format!("rendering {views} × {width} × {height} pixels"), bytes)
 }
 
 /// Returns the shape of points without their last axis of three numbers; [1] for a single point.

@@ -1,5 +1,6 @@
 //! `trimip.Scene`: photographs with their cameras.
 
+use crate::calls::detached;
 use crate::camera::Camera;
 use crate::error::{raised, refused};
 use crate::value;
@@ -32,7 +33,7 @@ impl Scene {
             let advice = "give a smaller index";
             return Err(refused("index", format!("{index} of {} {split} views", frames.len()), advice));
         }
-        let set = py.detach(|| frames.load(index)).map_err(raised)?;
+        let set = detached(py, || frames.load(index))?.map_err(raised)?;
         match set.scales.iter().position(|own| own.factor == scale) {
             Some(at) => Ok((set, at)),
             None => {
@@ -63,7 +64,7 @@ impl Scene {
             value::apply(&mut all, settings)?;
         }
         let config = Config::from_settings(&all).map_err(raised)?;
-        let set = py.detach(|| data::open_test(&config.section()?)).map_err(raised)?;
+        let set = detached(py, || data::open_test(&config.section()?))?.map_err(raised)?;
         Ok(Self { config, set })
     }
 

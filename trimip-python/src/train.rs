@@ -1,5 +1,6 @@
 //! `trimip.train`, and the run that it returns.
 
+use crate::calls::detached;
 use crate::error::{raised, refused};
 use crate::listening::Listener;
 use crate::model::Model;
@@ -25,7 +26,7 @@ impl Run {
     /// Opens the run of a folder that this package or trimip-cli trained. Its photographs are not needed.
     #[staticmethod]
     fn load(py: Python<'_>, folder: PathBuf) -> PyResult<Self> {
-        let recorded = py.detach(|| Recorded::open(&folder)).map_err(raised)?;
+        let recorded = detached(py, || Recorded::open(&folder))?.map_err(raised)?;
         let ended =
             if recorded.status == Status::Stopped { Outcome::Stopped } else { Outcome::AlreadyComplete };
         Ok(Self { recorded, ended })
@@ -77,13 +78,13 @@ impl Run {
 
     /// Rewrites the report, as after training: report.html with its pictures, report.json, tables. Returns the path of report.html.
     fn report(&self, py: Python<'_>) -> PyResult<PathBuf> {
-        py.detach(|| trimip_report::write(&self.recorded)).map_err(raised)?;
+        detached(py, || trimip_report::write(&self.recorded))?.map_err(raised)?;
         Ok(self.recorded.folder.html())
     }
 
     /// Loads the trained model.
     fn model(&self, py: Python<'_>) -> PyResult<Model> {
-        let model = py.detach(|| trimip::read_model(self.recorded.folder.root())).map_err(raised)?;
+        let model = detached(py, || trimip::read_model(self.recorded.folder.root()))?.map_err(raised)?;
         Model::open(py, model)
     }
 
@@ -155,7 +156,7 @@ pub fn train(
     let (settings, default) = given(config, settings, system)?;
     let out = out.unwrap_or(default);
     let listener = Listener::new(callback);
-    let outcome = py.detach(|| {
+    let outcome = detached(py, || {
         let mut events = |event: &Event| {
             listener.check_signals();
             listener.tell(event);
@@ -176,7 +177,7 @@ pub fn train(
         }
         trained.judge()?;
         Ok(Run { recorded, ended })
-    });
+    })?;
     listener.end()?;
     outcome.map_err(raised)
 }

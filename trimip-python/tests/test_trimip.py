@@ -399,6 +399,40 @@ def test_threads_share_a_model(model):
     assert len(found) == 4 and all(np.array_equal(color, expected) for color in found)
 
 
+def test_a_forked_process_is_refused_instead_of_hanging(model):
+    """A fork copies none of the library's threads, and would wait for them for ever."""
+    model.render(camera())
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            model.render(camera())
+            told = "rendered"
+        except trimip.RunError as error:
+            told = str(error)
+        os.write(write, told.encode())
+        os._exit(0)
+    os.close(write)
+    answer = os.read(read, 4096).decode()
+    assert os.waitpid(child, 0)[1] == 0
+    assert "forked" in answer and "spawn" in answer, answer
+
+
+def test_more_than_the_memory_is_a_memory_error(model):
+    views = [trimip.Camera.look_at([3, 1, 2], [0, 0, 0], 16384, 16384, fov=40)] * 1000
+    with pytest.raises(MemoryError, match="16384"):
+        model.render_batch(views)
+    assert model.render(camera()).color.shape == (24, 24, 3)
+
+
+@pytest.mark.parametrize("size", [-1, 0, 16385, 10**9])
+def test_pictures_of_no_sane_size_are_refused(size):
+    with pytest.raises(trimip.InputError, match="16384"):
+        camera(size)
+    with pytest.raises(trimip.InputError, match="factor"):
+        camera().resized(1e6)
+
+
 def test_names(cli):
     assert "tri-mip" in trimip.systems() and "cpu" in trimip.backends()
     assert trimip.defaults()["encoder"]["kind"] == "tri-mip"
