@@ -367,6 +367,31 @@ fn a_guard_passes_a_stop_on() {
     assert_eq!(is_sound(&here.join("run")), Ok(()));
 }
 
+/// Rank 0's arguments count on every rank; other ones are not ignored in silence.
+#[test]
+fn other_arguments_of_a_rank_are_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let started = |own: &[&str], other: &[&str]| {
+        let mut command = ranks(1, here, own)?;
+        command.args([":", "-n", "1"]).arg(program_of_ranks()?).args(other);
+        let Output { status, stderr, .. } = command.output().expect("mpirun starts");
+        let err = String::from_utf8_lossy(&stderr).into_owned();
+        assert_eq!(status.code(), Some(0), "{err}");
+        Some(err)
+    };
+    let [one, two] = ["1", "2"].map(|seed| format!("seed={seed}"));
+    let own = tiny_and(&["--out", "run", "--fresh", "--set", &one]);
+    let other = tiny_and(&["--out", "run", "--fresh", "--set", &two]);
+    let Some(err) = started(&own, &own) else { return };
+    assert!(!err.contains("rank 1"), "{err}");
+    let err = started(&own, &other).expect("as before");
+    assert!(
+        err.contains("rank 1") && err.contains("seed=2") && err.contains("those of rank 0 count"),
+        "{err}"
+    );
+}
+
 /// Two ranks with separate working directories are refused if they find different files under the same paths.
 #[test]
 fn ranks_with_other_photographs_or_models_are_refused() {

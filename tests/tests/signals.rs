@@ -57,6 +57,26 @@ fn a_hang_up_stops_a_run_unless_it_was_started_with_nohup() {
     );
 }
 
+/// Planning for a grid of 1024³ cells takes minutes. Nothing is lost if it is stopped, so the program does not wait for it.
+#[test]
+fn a_run_that_is_stopped_while_it_plans_ends_soon() {
+    let folder = tempfile::tempdir().unwrap();
+    let here: &Path = folder.path();
+    let large = ["--set", "occupancy.resolution=1024", "--set", "plan.occupancy=off", "--out", "run"];
+    let mut child =
+        command(here, &tiny_and(&large)).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    while !here.join("run/run.lock").exists() {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    assert_eq!(child.try_wait().unwrap(), None, "it plans");
+    let stopped = std::time::Instant::now();
+    send("-TERM", &child);
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    // Two seconds of grace, and the time that the system needs to take the memory back.
+    assert!(stopped.elapsed().as_secs() < 20, "{:?}", stopped.elapsed());
+}
+
 #[test]
 fn a_run_that_is_stopped_while_it_reads_ends_without_a_trace() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,9 @@
-//! Ctrl-C: the first one makes the run stop and save, the second one ends the program immediately.
+//! Ctrl-C: the first one makes the run stop and save, the second one ends the program immediately. Before training begins there
+//! is nothing to save, so the first one ends the program within [`GRACE`].
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::time::Duration;
 use trimip_core::{Error, Result};
 
 /// Exit code of a stopped program: 128 + SIGINT, the shell convention.
@@ -9,6 +11,12 @@ pub const EXIT_CODE: u8 = 130;
 
 /// True once the program has been asked to stop.
 static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
+
+/// True once a stop has something to save.
+static SAVES: AtomicBool = AtomicBool::new(false);
+
+/// Time in which a program that has nothing to save ends by itself and removes what it began to write.
+const GRACE: Duration = Duration::from_secs(2);
 
 /// True once the signal handler is installed.
 static WATCHED: Mutex<bool> = Mutex::new(false);
@@ -18,13 +26,32 @@ pub fn install() -> Result<Arc<AtomicBool>> {
     install_for("stopping after this step and saving; press Ctrl-C again to end at once")
 }
 
-/// Like [`install`]; the first signal prints `answer`.
+/// States that a stop has something to save from now on: a signal no longer ends the program after [`GRACE`].
+pub fn saves() {
+    SAVES.store(true, Ordering::SeqCst);
+}
+
+/// Like [`install`]; the first signal prints `answer` if there is something to save.
 pub fn install_for(answer: &'static str) -> Result<Arc<AtomicBool>> {
     catch(move |again| {
         if again {
             std::process::exit(EXIT_CODE.into());
         }
-        crate::terminal::note(format!("\n{answer}"));
+        if SAVES.load(Ordering::SeqCst) {
+            crate::terminal::note(format!("\n{answer}"));
+            return;
+        }
+        crate::terminal::note("\nending");
+        // A thread of its own, so that a second signal is answered meanwhile. If there can be none, the program ends now.
+        let end = || {
+            std::thread::sleep(GRACE);
+            if !SAVES.load(Ordering::SeqCst) {
+                std::process::exit(EXIT_CODE.into());
+            }
+        };
+        if std::thread::Builder::new().spawn(end).is_err() {
+            std::process::exit(EXIT_CODE.into());
+        }
     })
 }
 

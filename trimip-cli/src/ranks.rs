@@ -54,6 +54,7 @@ mod launched {
             return if super::speaks() { Err(error) } else { Ok(exit_code(&error)) };
         }
         let rank = world.rank().id;
+        compare_arguments(&world)?;
         let work = || if rank == 0 { lead(&world, program) } else { follow(&world, rank, work) };
         // Without the abort, the other ranks would wait for a rank that panicked.
         let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
@@ -62,6 +63,21 @@ mod launched {
         });
         world.end();
         outcome
+    }
+
+    /// Warns if this rank was started with other arguments than rank 0, whose arguments count.
+    fn compare_arguments(world: &World) -> Result<()> {
+        let words = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned());
+        let own = words.collect::<Vec<_>>().join(" ");
+        let mut first = own.clone().into_bytes();
+        world.broadcast(&mut first)?;
+        if first != own.as_bytes() {
+            terminal::aside(format!(
+                "warning: rank {} was started with the arguments \"{own}\", which are ignored: those of rank 0 count",
+                world.rank().id
+            ));
+        }
+        Ok(())
     }
 
     fn lead(world: &World, program: impl FnOnce() -> Result<u8>) -> Result<u8> {
@@ -82,6 +98,7 @@ mod launched {
         let ranks: Arc<dyn Ranks> = Arc::clone(world) as Arc<dyn Ranks>;
         let mut tell = |text| terminal::aside(format!("warning: rank {rank} {text}"));
         // Rank 0 receives the same signal and orders the others to end.
+        interrupt::saves();
         let outcome = interrupt::install().and_then(|_| ranks::follow(&ranks, &mut work, &mut tell));
         outcome.map(|()| 0).inspect_err(|error| {
             terminal::error(&error.clone().of_rank(rank));

@@ -36,6 +36,8 @@ pub fn run(arguments: &CaptureArguments) -> Result<u8> {
     let stop = interrupt::install_for(
         "stopping; the same command continues from here; press Ctrl-C again to end at once",
     )?;
+    // Every stage that is done is kept, and the programs that this one started have to end first.
+    interrupt::saves();
     let display = Display::new(arguments.progress);
     let captured = trimip_capture::run(&arguments.request(), &stop, &|event| display.show(event));
     if let Ok(captured) = &captured

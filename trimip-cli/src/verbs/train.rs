@@ -78,6 +78,8 @@ fn train_before(live_view: Option<LiveView>, training: Training, display: &Displ
     let mut observer = live_view.clone();
     let reading = Reading::default();
     let mut events = |event: &Event| {
+        // The first event follows the planning and precedes the first step.
+        interrupt::saves();
         reading.finish();
         display.show(event);
         if let Some(live_view) = &live_view {

@@ -20,7 +20,7 @@ pub fn run(arguments: &ViewArguments) -> Result<u8> {
         .iter()
         .for_each(|remark| terminal::aside(format!("warning: {remark}")));
     scene.notes.iter().for_each(|note| terminal::aside(format!("warning: {note}")));
-    let stop = interrupt::install_for("ending; press Ctrl-C again to end at once")?;
+    let stop = interrupt::install()?;
     let listener = Listener::bind(SocketAddr::new(arguments.bind, arguments.port))?;
     let server = Server::open(listener, scene, renderers, None)?;
     if !arguments.bind.is_loopback() {
