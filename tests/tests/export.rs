@@ -35,7 +35,7 @@ fn read_obj(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     (vertices, triangles)
 }
 
-/// Returns the vertices and triangles of a binary PLY file with positions, normals, colours and triangles.
+/// Returns the vertices and triangles of a binary PLY file with positions, normals and triangles, with or without colours.
 fn read_ply(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
     let bytes = fs::read(path).unwrap();
     let end = b"end_header\n";
@@ -45,7 +45,8 @@ fn read_ply(path: &Path) -> (Vec<[f64; 3]>, Vec<[usize; 3]>) {
         header.lines().find_map(|line| line.strip_prefix(name)).unwrap().trim().parse().unwrap()
     };
     let (vertices, triangles) = (count("element vertex"), count("element face"));
-    let (vertex, triangle) = (6 * 4 + 3, 1 + 3 * 4);
+    let colors = if header.contains("uchar red") { 3 } else { 0 };
+    let (vertex, triangle) = (6 * 4 + colors, 1 + 3 * 4);
     assert_eq!(bytes.len(), start + vertices * vertex + triangles * triangle);
     let word = |at: usize| <[u8; 4]>::try_from(&bytes[at..at + 4]).unwrap();
     let place =
@@ -190,13 +191,13 @@ fn a_mesh_for_collisions_is_coarse_and_closed() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     train(here);
-    let export = ["export", "mesh", "run", "--resolution", "32", "--level", "0.01", "--out", "mesh.obj"];
-    let answer = run(here, &[&export[..], &["--collision", "60"]].concat());
+    let export = ["export", "mesh", "run", "--resolution", "32", "--level", "0.01", "--out", "mesh.ply"];
+    let answer = run(here, &[&export[..], &["--collision", "400"]].concat());
     assert_eq!(answer.code, Some(0), "{}", answer.err);
-    assert!(answer.out.contains("mesh_collision.obj"), "{}", answer.out);
-    let (fine, coarse) = (read_obj(&here.join("mesh.obj")), read_obj(&here.join("mesh_collision.obj")));
+    assert!(answer.out.contains("mesh_collision.ply"), "{}", answer.out);
+    let (fine, coarse) = (read_ply(&here.join("mesh.ply")), read_ply(&here.join("mesh_collision.ply")));
     assert!(
-        fine.1.len() > 100 && (4..=70).contains(&coarse.1.len()),
+        fine.1.len() > 800 && (4..=440).contains(&coarse.1.len()),
         "{} of {}",
         coarse.1.len(),
         fine.1.len()

@@ -1,6 +1,6 @@
 //! Animated GIF: 256 colours per picture, repeated for ever. The `image` crate chooses the colours.
 
-use super::{Encoder, time_of};
+use super::encoder::{Encoder, time_of};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, RgbaImage};
 use std::fs::File;

@@ -1,26 +1,19 @@
 //! Films of rendered pictures. This program writes MP4, GIF and WebP itself; the program `ffmpeg` of the system writes the other
 //! formats.
 
+mod encoder;
 mod ffmpeg;
 mod gif;
 #[cfg(feature = "mp4")]
 mod mp4;
 mod webp;
 
+use encoder::Encoder;
 use image::RgbaImage;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use trimip_core::atomic::replace_atomically;
 use trimip_core::{Advice, Error, ErrorKind, Place, Result};
-
-/// A film that is being encoded. Pictures arrive in order and have equal sizes.
-trait Encoder {
-    /// Appends a picture.
-    fn add(&mut self, picture: RgbaImage) -> std::result::Result<(), String>;
-
-    /// Ends the film and writes what is left of it.
-    fn end(self: Box<Self>) -> std::result::Result<(), String>;
-}
 
 /// A format of films.
 struct Format {
@@ -139,25 +132,5 @@ pub fn encode(
         None => written.map(|()| true),
         Some(error) if error.kind() == ErrorKind::Stopped => Ok(false),
         Some(error) => Err(error),
-    }
-}
-
-/// Returns the time from the start of the film to a picture, in units of `unit` seconds, rounded. Rounding the times, not the
-/// durations, keeps the length of the film.
-fn time_of(picture: usize, rate: f64, unit: f64) -> u64 {
-    (picture as f64 / rate / unit).round() as u64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rounded_times_keep_the_length() {
-        // 30 pictures a second are 3.33 hundredths of a second each.
-        let durations: Vec<u64> =
-            (0..30).map(|i| time_of(i + 1, 30.0, 0.01) - time_of(i, 30.0, 0.01)).collect();
-        assert!(durations.iter().all(|duration| [3, 4].contains(duration)));
-        assert_eq!(durations.iter().sum::<u64>(), 100);
     }
 }

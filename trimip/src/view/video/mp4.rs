@@ -1,7 +1,7 @@
 //! MP4 with H.264: `openh264` encodes, `muxide` writes the container. Pixels are BT.709 with the limited range and colours at half
 //! the resolution, which all players read.
 
-use super::Encoder;
+use super::encoder::Encoder;
 use image::RgbaImage;
 use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
 use openh264::OpenH264API;

@@ -1,7 +1,7 @@
 //! Animated WebP: every picture without loss and with its opacity, repeated for ever. The `image` crate compresses the pictures;
 //! this file puts them into the container (RFC 9649, Section 2.7).
 
-use super::{Encoder, time_of};
+use super::encoder::{Encoder, time_of};
 use image::RgbaImage;
 use image::codecs::webp::WebPEncoder;
 use std::fs::File;
