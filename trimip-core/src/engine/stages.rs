@@ -155,7 +155,8 @@ pub trait Field<B: Backend>: Send + Sync {
 
     /// Evaluates the colour of every kept sample whose weight in its ray is at least `least`, and writes it to
     /// `radiance`, which has one value per sample. The other samples are black, and no gradient flows through their
-    /// colours. If `least` is 0, all samples get a colour, and the segments are not read.
+    /// colours. If `least` is 0, all samples get a colour, and the segments are not read. With deferred shading
+    /// ([`deferred`](crate::math::deferred)) all samples of a ray get the colour of the ray, if its opacity is at least `least`.
     fn color(
         &self,
         tile: &mut Tile<'_, B>,
