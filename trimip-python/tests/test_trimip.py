@@ -290,7 +290,7 @@ def test_a_scene_has_its_photographs_and_cameras(model):
         (lambda tmp: trimip.Camera(2 * np.eye(4), 8, 8, fov=40), ["no rotation"]),
         (lambda tmp: trimip.Camera(np.eye(3), 8, 8, fov=40), ["9 numbers"]),
         (lambda tmp: trimip.Camera(np.eye(4), 8, 8), ["fov"]),
-        (lambda tmp: trimip.Camera(np.eye(4), 0, 8, fov=40), ["at least one pixel"]),
+        (lambda tmp: trimip.Camera(np.eye(4), 0, 8, fov=40), ["0 by 8 pixels", "from one to 16384 pixels"]),
         (lambda tmp: trimip.Camera.batch(np.zeros((5, 3, 4)), 8, 8, fov=[1, 2]), ["2 numbers for 5 poses"]),
     ],
 )
