@@ -15,7 +15,7 @@ static STOP: LazyLock<Arc<AtomicBool>> = LazyLock::new(Arc::default);
 /// True once a stop has something to save.
 static SAVES: AtomicBool = AtomicBool::new(false);
 
-/// Time in which a program that has nothing to save ends by itself and removes what it began to write.
+/// A program that has nothing to save may clean up for this long after a signal. Then it ends.
 const GRACE: Duration = Duration::from_secs(2);
 
 /// True once the signal handler is installed.

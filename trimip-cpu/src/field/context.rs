@@ -150,7 +150,7 @@ impl Lit {
         if self.listed { self.rows.len() } else { all }
     }
 
-    /// Returns the samples of row `i`; `segments` are those of the tile.
+    /// Returns the indices of the samples of row `i`; `samples` are those of the tile.
     pub fn samples(&self, i: usize, samples: &Samples<CpuBackend>) -> Range<usize> {
         let first = self.row(i);
         match self.of_rays {
@@ -169,9 +169,9 @@ impl Lit {
         if self.listed { &self.outputs } else { density.output() }
     }
 
-    /// Spreads the gradient of a ray's mean over its samples. `by_mean` is the gradient with respect to `values` numbers of
-    /// row `i`, and `outputs` are the corresponding numbers of each of its samples (`width` apart). `by_outputs` receives
-    /// their gradients, with the same distance; `by_depth` keeps the derivatives with respect to the optical depths.
+    /// Spreads the gradient of a ray's mean over its samples `own`. `by_mean` is the gradient of the geometry features of row
+    /// `i`. `outputs`, [samples, `width`], are the outputs of the density network, and `by_outputs` receives the gradients of
+    /// their geometry features. `by_depth` keeps the derivatives with respect to the optical depths.
     pub fn spread(
         &mut self,
         i: usize,
