@@ -259,6 +259,24 @@ fn what_cannot_be_exported_is_refused_and_nothing_is_written() {
         (&["--error", "0.1", "--triangles", "5"], 2, "cannot be used with"),
         (&["--set", "encoder.levels=2"], 2, "encoder.levels"),
         (&["--set", "data.root=elsewhere", "--set", "data.format=blender", "--silhouettes"], 2, "elsewhere"),
+        (
+            &[
+                "--set",
+                "data.root=elsewhere",
+                "--set",
+                "data.format=blender",
+                "--out",
+                "m.glb",
+                "--texture",
+                "128",
+                "--texture-source",
+                "photographs",
+            ],
+            2,
+            "elsewhere",
+        ),
+        (&["--texture-source", "field"], 2, "--texture"),
+        (&["--crop", "half 0,0,9,0,0,1"], 2, "lies on this side"),
         (&["--level", "1e9", "--resolution", "16", "--out", "mesh.ply"], 1, "no surface of density"),
     ] {
         let answer = run(here, &[&["export", "mesh", "run"], arguments].concat());
@@ -347,9 +365,13 @@ fn a_texture_belongs_to_its_mesh_in_every_format() {
         let mesh = ["export", "mesh", "run", "--resolution", "24", "--triangles", "300", "--level", "0.5"];
         run(here, &[&mesh[..], arguments].concat())
     };
+    let answer = export(&["--texture", "128", "--out", "field.glb", "--texture-source", "field"]);
+    assert!(answer.code == Some(0) && answer.out.contains("; colours of the field; "), "{answer:?}");
     let answer = export(&["--texture", "128", "--out", "mesh.glb", "--psnr"]);
     assert_eq!(answer.code, Some(0), "{}", answer.err);
-    for part in [" of the texels show the surface", " dB on 2 test views"] {
+    assert_ne!(fs::read(here.join("mesh.glb")).unwrap(), fs::read(here.join("field.glb")).unwrap());
+    let photographs = " photographs, the others of the field";
+    for part in [" of the texels show the surface", photographs, " dB on 2 test views"] {
         assert!(answer.out.contains(part), "{part} in {}", answer.out);
     }
     let bytes = fs::read(here.join("mesh.glb")).unwrap();

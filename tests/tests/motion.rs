@@ -127,6 +127,42 @@ fn a_flythrough_goes_along_the_training_cameras_and_goes_on() {
 }
 
 #[test]
+fn motion_blur_mixes_the_pictures_around_a_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here);
+    turntable(here, "8", &["--out", "sharp"]);
+    turntable(here, "8", &["--out", "still", "--motion-blur", "3", "--shutter", "0"]);
+    let blurred = ["--out", "blurred", "--motion-blur", "4"];
+    let answer = turntable(here, "8", &blurred);
+    assert_eq!(answer.out.lines().count(), 8);
+    let open = |folder: &str, i: usize| {
+        image::open(here.join(folder).join(format!("{i:04}_color.png"))).unwrap().to_rgba8()
+    };
+    for i in 0..8 {
+        let (sharp, still, blurred) = (open("sharp", i), open("still", i), open("blurred", i));
+        let steps = sharp.as_raw().iter().zip(still.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(steps <= Some(1), "a shutter that is open for no time sees no motion");
+        let blurs = psnr(&sharp, &blurred);
+        assert!((10.0..45.0).contains(&blurs), "{blurs} dB");
+    }
+    // Pictures of the same motion blur are kept, those of another are rendered again.
+    assert_eq!(turntable(here, "8", &blurred).out.lines().count(), 0);
+    assert_eq!(turntable(here, "8", &[&blurred[..], &["--shutter", "0.25"]].concat()).out.lines().count(), 8);
+    for (arguments, part) in [
+        (&["--motion-blur", "4"][..], "add --turntable N"),
+        (&["--turntable", "3", "--shutter", "0.5"], "--motion-blur"),
+        (&["--turntable", "3", "--motion-blur", "1"], "2..=256"),
+        (&["--turntable", "3", "--motion-blur", "2", "--shutter", "1.5"], "from 0 to 1"),
+        (&["--turntable", "3", "--motion-blur", "2", "--shutter", "nan"], "from 0 to 1"),
+    ] {
+        let answer = run(here, &[&["render", "run"], arguments].concat());
+        assert!(answer.code == Some(2) && answer.err.contains(part), "{arguments:?}: {answer:?}");
+    }
+    assert!(!here.join("run/renders").exists());
+}
+
+#[test]
 fn a_video_that_cannot_be_made_is_refused_before_the_work() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -12,7 +12,9 @@ pub use bench::BenchArguments;
 pub use capture::CaptureArguments;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use data::{DataAction, DataArguments};
-pub use export::{CameraSet, CamerasArguments, ExportArguments, ExportWhat, MeshArguments, WebArguments};
+pub use export::{
+    CameraSet, CamerasArguments, ExportArguments, ExportWhat, MeshArguments, TextureSource, WebArguments,
+};
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
 pub use render::{PictureFormat, RenderArguments};
 use shared::ending;
@@ -194,7 +196,7 @@ pub struct ViewArguments {
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub port: u16,
     /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page toggles between
+    /// (lower and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops follow the cells of the occupancy grid. A switch on the page toggles between
     /// the crop and everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,

@@ -23,6 +23,17 @@ pub enum ExportWhat {
     Cameras(CamerasArguments),
 }
 
+/// Where the colours of a texture come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TextureSource {
+    /// The photographs if the data set is there, otherwise the field
+    Auto,
+    /// The field, seen against the normals of the surface
+    Field,
+    /// The training photographs, and the field where none shows the surface (needs the data set)
+    Photographs,
+}
+
 /// Options of `export cameras`.
 #[derive(Args, Debug)]
 pub struct CamerasArguments {
@@ -64,7 +75,7 @@ pub struct WebArguments {
     #[arg(long, value_name = "DIR", default_value = "target/web")]
     pub viewer: PathBuf,
     /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid. A switch on the page toggles between
+    /// (lower and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops follow the cells of the occupancy grid. A switch on the page toggles between
     /// the crop and everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
@@ -93,8 +104,8 @@ pub struct MeshArguments {
     /// Simplify as long as the surface moves by less than this share of the mesh's longest side; replaces --triangles
     #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
     pub error: Option<f64>,
-    /// Part of the scene to write, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper corner) or "ball
-    /// X,Y,Z,RADIUS"; the surface is open where the crop cuts it
+    /// Part of the scene to write, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper corner), "ball
+    /// X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept); the surface is open where the crop cuts it
     #[arg(long, default_value = "auto", value_name = "CROP")]
     pub crop: CropChoice,
     /// Leave out triangles that fewer than N training cameras see; 0 = keep all [default: 3 in contracted space, otherwise 0]
@@ -110,6 +121,9 @@ pub struct MeshArguments {
     /// Write a texture of N by N texels instead of colours of the vertices (GLB, OBJ or USDZ)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(64..=16_384))]
     pub texture: Option<u32>,
+    /// Where the colours of the texture come from
+    #[arg(long, value_enum, default_value = "auto", requires = "texture", value_name = "SOURCE")]
+    pub texture_source: TextureSource,
     /// Also write a mesh of about N triangles without colours, for collisions: `mesh_collision.glb` next to `mesh.glb`
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
     pub collision: Option<u32>,

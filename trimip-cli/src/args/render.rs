@@ -81,7 +81,7 @@ pub struct RenderArguments {
     #[arg(long, allow_hyphen_values = true)]
     pub fov: Option<f64>,
     /// Part of the world that the pictures show, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z" (lower
-    /// and upper corner) or "ball X,Y,Z,RADIUS". Crops follow the cells of the occupancy grid
+    /// and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops follow the cells of the occupancy grid
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
     /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
@@ -111,6 +111,12 @@ pub struct RenderArguments {
     /// With --video: frames per second
     #[arg(long, default_value_t = 30.0, requires = "video")]
     pub rate: f64,
+    /// With --path, --turntable or --flythrough: motion blur. Every frame is the mean of pictures of N cameras
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=256), conflicts_with_all = ["views", "pose", "look_at", "strip"])]
+    pub motion_blur: Option<u32>,
+    /// With --motion-blur: time for which the shutter is open, as a fraction of the time between two frames
+    #[arg(long, default_value_t = 0.5, value_name = "FRACTION", requires = "motion_blur")]
+    pub shutter: f64,
     /// With --path, --turntable or --flythrough: render all views again; by default, the same command resumes an interrupted one
     #[arg(long)]
     pub fresh: bool,

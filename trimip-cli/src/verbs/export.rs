@@ -4,16 +4,17 @@ mod cameras;
 mod web;
 
 use crate::{
-    args::{ExportArguments, ExportWhat, MeshArguments},
+    args::{ExportArguments, ExportWhat, MeshArguments, TextureSource},
     interrupt,
     progress::bar,
     terminal,
 };
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
-use trimip::mesh::{self, Coordinates, Extracted, Extraction, Goal, MeshFormat};
-use trimip::run::{cameras::training_cameras, folder as run_folder};
+use trimip::mesh::{self, Coordinates, Extracted, Extraction, Goal, MeshFormat, Photographs, Texturing};
+use trimip::run::{cameras::named_training_cameras, folder as run_folder};
 use trimip::{Crop, Result, backends, settings};
 use trimip_core::scene::origin::LocalOrigin;
 
@@ -43,12 +44,14 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     // The data set is opened first, so that a missing one is reported before the work begins.
     let data = match trimip_data::open_test(&model.config.section()?) {
         Ok(data) => Some(data),
-        Err(error) if arguments.silhouettes.is_some() || arguments.psnr.is_some() => return Err(error),
+        Err(error) if needs_data(arguments) => return Err(error),
         Err(_) => None,
     };
+    // A run may have refined the cameras of its photographs.
+    let stored = named_training_cameras(&arguments.model, origin)?.unwrap_or_default();
     let cameras = match &data {
         Some(data) => data.train.clone(),
-        None => training_cameras(&arguments.model, origin)?.unwrap_or_default(),
+        None => stored.iter().map(|&(_, camera)| camera).collect(),
     };
     if cameras.is_empty() {
         terminal::aside(
@@ -94,7 +97,17 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
                 bar.set_position((fraction * BAR as f64) as u64);
                 !stop.load(Ordering::Relaxed)
             };
-            let made = mesh::texture(viewer.as_mut(), &extracted.mesh, extracted.spacing, side, &mut watch)?;
+            let refined: HashMap<_, _> = stored.into_iter().collect();
+            let photographs = match (&data, arguments.texture_source) {
+                (Some(data), TextureSource::Auto | TextureSource::Photographs) => {
+                    Some(Photographs { frames: data.photographs.as_ref(), cameras: &refined })
+                }
+                _ => None,
+            };
+            let threads = model.config.threads as usize;
+            let what =
+                Texturing { side, spacing: extracted.spacing, photographs, cameras: &cameras, threads };
+            let made = mesh::texture(viewer.as_mut(), &extracted.mesh, &what, &mut watch)?;
             let Some(made) = made else { return Ok(interrupt::EXIT_CODE) };
             Some((made, started.elapsed().as_secs_f64() - seconds))
         }
@@ -134,9 +147,17 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
     }
     if let Some(((_, texture), seconds)) = &textured {
         terminal::prose(format!(
-            "texture: {}, {:.0} % of the texels show the surface, {seconds:.1} s",
+            "texture: {}, {:.0} % of the texels show the surface, {}; {seconds:.1} s",
             terminal::many(texture.charts.into(), "chart"),
-            100.0 * texture.used
+            100.0 * texture.used,
+            match texture.photographs {
+                0 => "colours of the field".to_string(),
+                count => format!(
+                    "{:.0} % of these have colours of {}, the others of the field",
+                    100.0 * texture.shown,
+                    terminal::many(count as u64, "photograph")
+                ),
+            }
         ));
     }
     if let (Some(stride), Some(data)) = (arguments.psnr, &data) {
@@ -161,6 +182,12 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
         terminal::line(format!("{}: {}", file.display(), terminal::bytes(bytes)));
     }
     Ok(0)
+}
+
+/// Returns true if the options need the data set.
+fn needs_data(arguments: &MeshArguments) -> bool {
+    let compares = arguments.silhouettes.is_some() || arguments.psnr.is_some();
+    compares || (arguments.texture.is_some() && arguments.texture_source == TextureSource::Photographs)
 }
 
 /// Returns the path of the mesh for collisions: `_collision` follows the name of the file.

@@ -16,9 +16,9 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 use trimip::ranks::{digest, scatter_jobs, work_on_jobs};
 use trimip::run::folder::{self as run_folder, RunFolder};
-use trimip::view::{Named, Quantity, RenderJob, video, write_cameras};
+use trimip::view::{Mean, MotionBlur, Named, Quantity, RenderJob, video, write_cameras};
 use trimip::{Camera, Config, Crop, Error, Result, Viewer, backends, model::Model, settings, view};
-use trimip_core::{engine::exchange::Ranks, scene::origin::LocalOrigin};
+use trimip_core::{Frame, engine::exchange::Ranks, scene::origin::LocalOrigin};
 
 /// Refuses the folder of a run: the files with the cameras of its photographs and of the rendered pictures have the same name.
 fn expect_no_run(out: &Path) -> Result<()> {
@@ -46,17 +46,25 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
         ));
     }
     let request = RenderRequest::of(arguments)?;
-    let RenderRequest { model, cameras, what, format, out } = &request;
+    let RenderRequest { model, cameras, what, format, out, .. } = &request;
     let (config, what) = (&model.config, &what[..]);
     if let Some(video) = &arguments.video {
         check_video(arguments, video, what, cameras)?;
+    }
+    if arguments.motion_blur.is_some() && !is_film(arguments) {
+        let place = "--motion-blur";
+        return Err(Error::input(
+            place,
+            "has only one view",
+            "add --turntable N, --flythrough N or --path FILE",
+        ));
     }
     expect_no_run(out)?;
     view::expect_no_others(out, cameras, what, *format)?;
     run_folder::create_writable(out)?;
     // For a film, a job records the finished views, so that an interrupted command can be resumed. Single views are fast and have no job.
     let mut job = match is_film(arguments) {
-        true => Some(RenderJob::open(out, model, cameras, what, *format, arguments.fresh)?),
+        true => Some(RenderJob::open(out, model, &request.all_cameras(), what, *format, arguments.fresh)?),
         false => None,
     };
     let stop = interrupt::install()?;
@@ -67,7 +75,8 @@ pub fn run(arguments: &RenderArguments) -> Result<u8> {
     let ranged = what.contains(&Quantity::Depth).then_some(&config.scene);
     write_cameras(&out.join(view::CAMERAS), cameras, LocalOrigin::of(&config.data), ranged)?;
 
-    let rows = |camera: &Camera| u64::from(camera.intrinsics.height);
+    let pictures_of_view = u64::from(request.blur.map_or(1, |blur| blur.cameras));
+    let rows = |camera: &Camera| pictures_of_view * u64::from(camera.intrinsics.height);
     let bar =
         bar("{bar:30} {percent:>3} %  {eta} left", cameras.iter().map(|(_, camera)| rows(camera)).sum());
     let mut pictures: Vec<Option<Vec<PathBuf>>> =
@@ -152,6 +161,7 @@ struct RenderRequest {
     cameras: Vec<Named>,
     what: Vec<Quantity>,
     format: view::PictureFormat,
+    blur: Option<MotionBlur>,
     out: PathBuf,
 }
 
@@ -182,13 +192,24 @@ impl RenderRequest {
         backends::check(&model.config.backend)?;
         let cameras = resize(chosen(arguments, &model.config)?, arguments.scale)?;
         let out = arguments.out.clone().unwrap_or_else(|| beside(&arguments.model));
-        Ok(Self { model, cameras, what, format, out })
+        let shutter = arguments.shutter;
+        if !(0.0..=1.0).contains(&shutter) {
+            let expected = "expected a fraction of the time between two frames, from 0 to 1";
+            return Err(Error::input(format!("--shutter {shutter}"), "out of range", expected));
+        }
+        let blur = arguments.motion_blur.map(|cameras| MotionBlur { cameras, shutter });
+        Ok(Self { model, cameras, what, format, blur, out })
+    }
+
+    /// Returns the cameras of all pictures that are rendered, several per view with motion blur.
+    fn all_cameras(&self) -> Vec<Named> {
+        self.blur.map_or_else(|| self.cameras.clone(), |blur| blur.of_path(&self.cameras))
     }
 
     /// Returns a digest that is equal on all ranks with the same work.
     fn digest(&self) -> Result<String> {
-        let Self { model, cameras, what, format, out } = self;
-        Ok(digest([model.hash()?.to_string(), format!("{cameras:?} {what:?} {format:?} {out:?}")]))
+        let Self { model, cameras, what, format, blur, out } = self;
+        Ok(digest([model.hash()?.to_string(), format!("{cameras:?} {what:?} {format:?} {blur:?} {out:?}")]))
     }
 
     /// Renders a view and writes its pictures. Returns `None` if `watch` stopped it.
@@ -200,13 +221,33 @@ impl RenderRequest {
     ) -> Result<Option<RenderedView>> {
         let (name, camera) = &self.cameras[view];
         let started = Instant::now();
-        let Some(frame) = session.render_watched(camera, watch)? else { return Ok(None) };
+        let frame = match self.blur {
+            None => session.render_watched(camera, watch)?,
+            Some(blur) => blurred(session, &blur.of_frame(&self.cameras, view), watch)?,
+        };
+        let Some(frame) = frame else { return Ok(None) };
         let took = started.elapsed().as_secs_f64();
         let scene = &self.model.config.scene;
         let view = view::Rendered { name, frame: &frame, camera };
         let paths = view::write(&self.out, view, &self.what, self.format, scene)?;
         Ok(Some(RenderedView { paths, took }))
     }
+}
+
+/// Renders the mean of the pictures of several cameras. Returns `None` if `watch` stopped it.
+fn blurred(
+    session: &mut dyn Viewer,
+    cameras: &[Camera],
+    watch: &mut dyn FnMut(u32, u32) -> bool,
+) -> Result<Option<Frame>> {
+    let mut mean = Mean::default();
+    for (index, camera) in cameras.iter().enumerate() {
+        let (before, count) = (index as u32, cameras.len() as u32);
+        let mut part = |done: u32, all: u32| watch(before * all + done, count * all);
+        let Some(frame) = session.render_watched(camera, &mut part)? else { return Ok(None) };
+        mean.add(&frame);
+    }
+    Ok(Some(mean.frame()))
 }
 
 /// Fails before rendering if the video could not be written afterwards.

@@ -1,5 +1,5 @@
-//! Crops as text. A crop is the box or ball around a scene's subject, in world units, to which meshes, films and viewers
-//! can be confined.
+//! Crops as text. A crop is the box or ball around a scene's subject, or one side of a plane, in world units, to which meshes, films and
+//! viewers can be confined.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -9,10 +9,11 @@ use std::str::FromStr;
 const FARTHEST: f64 = 1e9;
 
 /// Syntax of a crop, for messages.
-pub const SYNTAX: &str =
-    "none, box X,Y,Z,X,Y,Z (lower and upper corner) or ball X,Y,Z,RADIUS, in world units";
+pub const SYNTAX: &str = "none, box X,Y,Z,X,Y,Z (lower and upper corner), ball X,Y,Z,RADIUS or half X,Y,Z,X,Y,Z (a point of a plane and the direction \
+     to the side that is kept), in world units";
 
-/// A part of the world. As text: `none`, `box 0,0,0,1,1,1` (lower and upper corner) or `ball 0,0,0,1` (centre and radius).
+/// A part of the world. As text: `none`, `box 0,0,0,1,1,1` (lower and upper corner), `ball 0,0,0,1` (centre and radius) or
+/// `half 0,0,0,0,0,1` (a point of a plane, and its normal on the side that is kept).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Crop {
@@ -33,6 +34,13 @@ pub enum Crop {
         /// Radius.
         radius: f64,
     },
+    /// A half-space: one side of a plane.
+    Half {
+        /// A point of the plane.
+        point: [f64; 3],
+        /// A normal of the plane, of any length, that points to the side that is kept.
+        normal: [f64; 3],
+    },
 }
 
 impl fmt::Display for Crop {
@@ -42,6 +50,7 @@ impl fmt::Display for Crop {
             Self::None => write!(f, "none"),
             Self::Box { min, max } => write!(f, "box {}", list(&[*min, *max].concat())),
             Self::Ball { centre, radius } => write!(f, "ball {},{radius}", list(centre)),
+            Self::Half { point, normal } => write!(f, "half {}", list(&[*point, *normal].concat())),
         }
     }
 }
@@ -72,9 +81,14 @@ impl FromStr for Crop {
             }
             ("ball", &[x, y, z, radius]) if radius > 0.0 => Ok(Self::Ball { centre: [x, y, z], radius }),
             ("ball", &[_, _, _, _]) => refuse("the radius must be above 0"),
+            ("half", &[x, y, z, a, b, c]) if [a, b, c] != [0.0; 3] => {
+                Ok(Self::Half { point: [x, y, z], normal: [a, b, c] })
+            }
+            ("half", &[_, _, _, _, _, _]) => refuse("the direction has no length"),
             ("box", _) => refuse("a box has six numbers"),
             ("ball", _) => refuse("a ball has four numbers"),
-            _ => refuse("a crop begins with none, box or ball"),
+            ("half", _) => refuse("a half-space has six numbers"),
+            _ => refuse("a crop begins with none, box, ball or half"),
         }
     }
 }
@@ -99,7 +113,7 @@ mod tests {
 
     #[test]
     fn a_crop_is_written_as_it_is_read() {
-        for text in ["none", "box -1,0,0.5,1,2,3", "ball 0.1,-2,3,4.5"] {
+        for text in ["none", "box -1,0,0.5,1,2,3", "ball 0.1,-2,3,4.5", "half 1,2,3,0,-0.5,0"] {
             assert_eq!(text.parse::<Crop>().unwrap().to_string(), text);
         }
         let spaced: Crop = "  box  0, 0, 0,\t1, 1, 1e0 ".parse().unwrap();
@@ -113,6 +127,8 @@ mod tests {
             ("box 0,0,0,1,x,1", "cannot be read"),
             ("ball 0,0,0", "four numbers"),
             ("ball 0,0,0,0", "above 0"),
+            ("half 0,0,0,1", "six numbers"),
+            ("half 0,0,0,0,-0,0", "no length"),
             ("ball 0,0,0,nan", "within"),
             ("ball 0,0,0,inf", "within"),
             ("box 0,0,0,1,1,2e9", "within"),

@@ -13,13 +13,16 @@ impl Crop {
                 let squares = (0..3).map(|i| (point[i] - centre[i]).powi(2));
                 squares.sum::<f64>() <= radius * radius
             }
+            Self::Half { point: on_plane, normal } => {
+                (0..3).map(|i| (point[i] - on_plane[i]) * normal[i]).sum::<f64>() >= 0.0
+            }
         }
     }
 
-    /// Returns the smallest box around the crop; `None` if the crop is the whole world.
+    /// Returns the smallest box around the crop; `None` if the crop has no end in some direction.
     pub fn bounds(&self) -> Option<Aabb<f64>> {
         match *self {
-            Self::None => None,
+            Self::None | Self::Half { .. } => None,
             Self::Box { min, max } => Some(Aabb { min, max }),
             Self::Ball { centre, radius } => {
                 Some(Aabb { min: centre.map(|x| x - radius), max: centre.map(|x| x + radius) })
@@ -46,6 +49,10 @@ mod tests {
         assert_eq!(ball.bounds(), Some(Aabb { min: [-1.0, 0.0, 1.0], max: [3.0, 4.0, 5.0] }));
         let cuboid: Crop = "box 0,0,0,1,2,3".parse().unwrap();
         assert!(cuboid.contains([1.0, 2.0, 3.0]) && !cuboid.contains([1.0, 2.0, 3.1]));
+        let half: Crop = "half 0,0,1,0,0,2".parse().unwrap();
+        assert!(
+            half.contains([5.0, -5.0, 1.0]) && !half.contains([0.0, 0.0, 0.99]) && half.bounds().is_none()
+        );
         assert!(Crop::None.contains([1e30; 3]) && Crop::None.bounds().is_none());
     }
 }

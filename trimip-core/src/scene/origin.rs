@@ -114,6 +114,7 @@ impl Placed for Crop {
             Self::None => Self::None,
             Self::Box { min, max } => Self::Box { min: min.moved(by), max: max.moved(by) },
             Self::Ball { centre, radius } => Self::Ball { centre: centre.moved(by), radius },
+            Self::Half { point, normal } => Self::Half { point: point.moved(by), normal },
         }
     }
 }

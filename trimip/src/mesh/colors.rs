@@ -51,8 +51,3 @@ pub fn colors(viewer: &mut dyn Viewer, points: &[[[f32; 3]; 2]], sight: Sight) -
     }
     Ok(colors)
 }
-
-/// Converts an sRGB value to linear light (IEC 61966-2-1).
-pub(super) fn linear(value: f32) -> f32 {
-    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
-}

@@ -440,15 +440,42 @@ mod tests {
     }
 
     #[test]
+    fn a_half_space_keeps_one_side_of_a_ball_which_is_open_at_the_plane() {
+        let bounded = model(CENTRE, [1.0; 3]);
+        let mut contracted = model(CENTRE, [1.0; 3]);
+        contracted.config.scene.contraction = Contraction::Ball;
+        for model in [bounded, contracted] {
+            // The plane z = 0.2 above the centre; the upper side is kept.
+            let [x, y, z] = CENTRE;
+            let crop = Crop::Half { point: [x, y, z + 0.2], normal: [0.0, 0.0, 3.0] };
+            let goal = Goal::Everything;
+            let what = Extraction { resolution: 48, level: Some(LEVEL), crop, goal, ..Extraction::default() };
+            let found = surface(|point| 0.7 - from_centre(point).length(), &model, &what).unwrap();
+            let places = places(&found.mesh);
+            // Triangles at the rim reach one cell, with a diagonal of √3, into the cut.
+            assert!(
+                places.iter().all(|p| (p.length() - 0.7).abs() < 3.0_f64.sqrt() * found.spacing),
+                "no wall of the cut is left"
+            );
+            let low = places.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+            assert!((low - 0.2).abs() < 1.5 * found.spacing, "{low}");
+            let high = places.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
+            assert!((high - 0.7).abs() < found.spacing && found.mesh.defects().open > 50, "{high}");
+        }
+    }
+
+    #[test]
     fn a_crop_beside_the_box_is_refused() {
         let model = model(CENTRE, [1.0; 3]);
-        let crop = Crop::Ball { centre: [0.0; 3], radius: 1.0 };
-        let what = Extraction { resolution: 16, level: Some(LEVEL), crop, ..Extraction::default() };
-        let error = surface(|_| 1.0, &model, &what).unwrap_err();
-        assert!(
-            error.kind() == trimip_core::ErrorKind::Input && error.message().contains("ball 0,0,0,1"),
-            "{error}"
-        );
+        for crop in [
+            Crop::Ball { centre: [0.0; 3], radius: 1.0 },
+            Crop::Half { point: [0.0, 0.0, 40.0], normal: [0.0, 0.0, 1.0] },
+        ] {
+            let what = Extraction { resolution: 16, level: Some(LEVEL), crop, ..Extraction::default() };
+            let error = surface(|_| 1.0, &model, &what).unwrap_err();
+            let named = error.message().contains(&crop.to_string());
+            assert!(error.kind() == trimip_core::ErrorKind::Input && named, "{error}");
+        }
     }
 
     #[test]

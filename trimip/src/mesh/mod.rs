@@ -3,6 +3,7 @@
 mod clean;
 mod colors;
 mod extract;
+mod fit;
 #[cfg(test)]
 mod fixtures;
 mod hidden;
@@ -20,10 +21,11 @@ mod write;
 
 pub use clean::{Removed, clean};
 pub use extract::{Extracted, Extraction, extract};
+pub use fit::Photographs;
 pub use marching::{Grid, march};
 pub use pictures::{Likeness, picture, psnr};
 pub use silhouettes::{Overlap, overlap, rasterise};
 pub use simplify::{Goal, for_collisions, simplify};
 pub use surface::{Defects, Mesh};
-pub use texture::{SIDES, Texture, texture};
+pub use texture::{SIDES, Texture, Texturing, texture};
 pub use write::{Coordinates, MeshFormat, write, write_in, write_textured};

@@ -15,7 +15,7 @@ pub(super) const PLACES_AT_ONCE: usize = 1 << 17;
 pub(super) struct Occupied {
     /// The box to extract.
     pub aabb: Aabb<f64>,
-    crop: Crop,
+    crops: [Crop; 2],
     space: Space<f64>,
     resolution: u32,
     bits: Vec<u8>,
@@ -41,15 +41,28 @@ impl Occupied {
                 Error::input(format!("crop {crop}"), what, "choose a part of this box, or none")
             })?,
         };
-        // Without a crop, a contracted scene is cropped to the box of its subject.
-        let crop = if crop == Crop::None && space.ball().is_some() { Crop::from(aabb) } else { crop };
-        Ok(Self { aabb, crop, space, resolution, bits })
+        let corners = (0..8)
+            .map(|i| [0, 1, 2].map(|axis| if i >> axis & 1 == 0 { aabb.min[axis] } else { aabb.max[axis] }));
+        if matches!(crop, Crop::Half { .. }) && !corners.into_iter().any(|corner| crop.contains(corner)) {
+            let what =
+                format!("nothing of the scene's box, {:?} to {:?}, lies on this side", aabb.min, aabb.max);
+            return Err(Error::input(
+                format!("crop {crop}"),
+                what,
+                "move the plane, or turn its direction around",
+            ));
+        }
+        // A contracted scene goes on beyond the box; its surface is closed there.
+        let end = if space.ball().is_some() { Crop::from(aabb) } else { Crop::None };
+        Ok(Self { aabb, crops: [crop, end], space, resolution, bits })
     }
 
     /// Returns true if a point of the world is in the crop and in an occupied cell, where rendering places samples.
     pub fn holds(&self, point: [f64; 3]) -> bool {
         let position = self.space.to_cube(point);
-        if !self.crop.contains(point) || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
+        if !self.crops.iter().all(|crop| crop.contains(point))
+            || !position.iter().all(|p| (0.0..=1.0).contains(p))
+        {
             return false;
         }
         let cell = cell_of(position.map(|p| p as f32), self.resolution);

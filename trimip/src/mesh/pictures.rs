@@ -5,13 +5,95 @@ use super::surface::Mesh;
 use super::texture::Texture;
 use crate::view::cameras::resized;
 use glam::DVec3;
+use std::collections::HashSet;
 use trimip_core::{Camera, Cone, Frames, Result};
 
 /// Number of samples along each side of a pixel.
 const SAMPLES: u32 = 3;
 
+/// Maximum number of cameras that are asked which triangles they see, evenly spread over all cameras.
+const MOST_CAMERAS: usize = 128;
+
 /// No triangle.
 const NONE: u32 = u32::MAX;
+
+/// The triangles that the samples of a picture show.
+pub(super) struct Samples {
+    /// The camera of the picture, with one pixel per sample.
+    camera: Camera,
+    /// Number of samples along each side of a pixel.
+    pub per_side: usize,
+    /// Width of the picture, in pixels.
+    pub width: usize,
+    /// Distance along the optical axis to the nearest triangle, world units, and its index; row by row. Infinite where there is none.
+    nearest: Vec<(f32, u32)>,
+}
+
+/// A point of a mesh that a sample shows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hit {
+    /// Index of the triangle.
+    pub triangle: usize,
+    /// Weights of the triangle's corners.
+    pub weights: [f32; 3],
+    /// Cosine of the angle between the ray and the triangle's normal, without sign.
+    pub cosine: f32,
+}
+
+impl Samples {
+    /// Draws a mesh with `per_side` samples along each side of a pixel.
+    ///
+    /// # Errors
+    /// When the picture is larger than pictures may be.
+    pub fn of(mesh: &Mesh, camera: &Camera, per_side: u32) -> Result<Self> {
+        let fine = Camera { intrinsics: resized(camera.intrinsics, per_side.into())?, ..*camera };
+        let mut nearest =
+            vec![(f32::INFINITY, NONE); fine.intrinsics.width as usize * fine.intrinsics.height as usize];
+        rasterise_triangles(mesh, &fine, |pixel, depth, triangle| {
+            if depth < nearest[pixel].0 {
+                nearest[pixel] = (depth, triangle);
+            }
+        });
+        let (per_side, width) = (per_side as usize, camera.intrinsics.width as usize);
+        Ok(Self { camera: fine, per_side, width, nearest })
+    }
+
+    /// Returns the distances along the optical axis that the samples of a pixel have; infinite where they show no triangle.
+    pub fn depths(&self, pixel: usize) -> impl Iterator<Item = f32> + '_ {
+        self.of_pixel(pixel).map(|sample| self.nearest[sample].0)
+    }
+
+    /// Returns what the samples of a pixel show; `None` where there is no triangle.
+    pub fn hits<'a>(&'a self, mesh: &'a Mesh, pixel: usize) -> impl Iterator<Item = Option<Hit>> + 'a {
+        self.of_pixel(pixel).map(|sample| self.hit(mesh, sample))
+    }
+
+    fn of_pixel(&self, pixel: usize) -> impl Iterator<Item = usize> + use<> {
+        let (row, column) = (pixel / self.width, pixel % self.width);
+        let (side, columns) = (self.per_side, self.width * self.per_side);
+        (0..side * side).map(move |i| (row * side + i / side) * columns + column * side + i % side)
+    }
+
+    fn hit(&self, mesh: &Mesh, sample: usize) -> Option<Hit> {
+        let (depth, triangle) = self.nearest[sample];
+        if triangle == NONE {
+            return None;
+        }
+        let columns = self.width * self.per_side;
+        let cone: Cone<f64> = self.camera.cone((sample % columns) as u32, (sample / columns) as u32);
+        let ahead = -self.camera.rotation.z_axis;
+        let direction = DVec3::from_array(cone.direction);
+        let point = self.camera.origin + direction * (f64::from(depth) / direction.dot(ahead));
+        let triangle = triangle as usize;
+        let [a, b, c] = mesh.corners(mesh.triangles[triangle]).map(DVec3::from_array);
+        let normal = (b - a).cross(c - a);
+        let part =
+            |from: DVec3, to: DVec3| (to - from).cross(point - from).dot(normal) / normal.length_squared();
+        let weights = [part(b, c), part(c, a), part(a, b)].map(|weight| weight.clamp(0.0, 1.0) as f32);
+        let cosine = (direction.dot(normal) / (direction.length() * normal.length())).abs() as f32;
+        Some(Hit { triangle, weights, cosine })
+    }
+}
 
 /// Returns the colours of a picture of a mesh and the fraction of each pixel that the mesh covers, both row by row. Colours come from
 /// `texture` or, without one, from the vertices; a mesh without colours is white. Each pixel is the mean of 3×3 samples.
@@ -24,74 +106,112 @@ pub fn picture(
     camera: &Camera,
     background: [f32; 3],
 ) -> Result<(Vec<[f32; 3]>, Vec<f32>)> {
-    let (width, height) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
-    let fine = Camera { intrinsics: resized(camera.intrinsics, SAMPLES.into())?, ..*camera };
-    let columns = fine.intrinsics.width as usize;
-    let mut nearest = vec![(f32::INFINITY, NONE); columns * fine.intrinsics.height as usize];
-    rasterise_triangles(mesh, &fine, |pixel, depth, triangle| {
-        if depth < nearest[pixel].0 {
-            nearest[pixel] = (depth, triangle);
-        }
-    });
-    let (mut colors, mut covered) = (vec![[0.0; 3]; width * height], vec![0.0; width * height]);
+    let samples = Samples::of(mesh, camera, SAMPLES)?;
+    let pixels = samples.width * camera.intrinsics.height as usize;
+    let (mut colors, mut covered) = (vec![[0.0; 3]; pixels], vec![0.0; pixels]);
     let share = (SAMPLES as f32).powi(-2);
-    for (index, &(depth, triangle)) in nearest.iter().enumerate() {
-        let (column, row) = (index % columns, index / columns);
-        let pixel = row / SAMPLES as usize * width + column / SAMPLES as usize;
-        let color = match triangle {
-            NONE => background,
-            _ => {
-                covered[pixel] += share;
-                let cone: Cone<f64> = fine.cone(column as u32, row as u32);
-                let ahead = -fine.rotation.z_axis;
-                let direction = DVec3::from_array(cone.direction);
-                let point = fine.origin + direction * (f64::from(depth) / direction.dot(ahead));
-                color_at(mesh, texture, triangle as usize, point)
-            }
-        };
-        colors[pixel].iter_mut().zip(color).for_each(|(sum, part)| *sum += share * part);
+    for (pixel, color) in colors.iter_mut().enumerate() {
+        for hit in samples.hits(mesh, pixel) {
+            let own = hit.map_or(background, |hit| color_at(mesh, texture, &hit));
+            covered[pixel] += if hit.is_some() { share } else { 0.0 };
+            color.iter_mut().zip(own).for_each(|(sum, part)| *sum += share * part);
+        }
     }
     Ok((colors, covered))
 }
 
-/// Returns the colour of a triangle at a point on it.
-fn color_at(mesh: &Mesh, texture: Option<&Texture>, triangle: usize, point: DVec3) -> [f32; 3] {
-    let corners = mesh.triangles[triangle];
-    let [a, b, c] = mesh.corners(corners).map(DVec3::from_array);
-    let normal = (b - a).cross(c - a);
-    let part = |from: DVec3, to: DVec3| (to - from).cross(point - from).dot(normal) / normal.length_squared();
-    let weights = [part(b, c), part(c, a), part(a, b)].map(|weight| weight.clamp(0.0, 1.0) as f32);
+/// Returns the colour of a mesh at a point on it.
+fn color_at(mesh: &Mesh, texture: Option<&Texture>, hit: &Hit) -> [f32; 3] {
     match texture {
         None => std::array::from_fn(|channel| {
             let own = |(&corner, weight): (&u32, f32)| {
                 mesh.colors.get(corner as usize).map_or(1.0, |color| color[channel]) * weight
             };
-            corners.iter().zip(weights).map(own).sum()
+            mesh.triangles[hit.triangle].iter().zip(hit.weights).map(own).sum()
         }),
-        Some(texture) => {
-            let at = |axis: usize| {
-                let own =
-                    |(&corner, weight): (&u32, f32)| texture.coordinates[corner as usize][axis] * weight;
-                corners.iter().zip(weights).map(own).sum::<f32>()
-            };
-            bilinear(texture, [at(0), at(1)])
-        }
+        Some(texture) => bilinear(texture, hit.coordinates(mesh, &texture.coordinates)),
     }
 }
 
-/// Returns the colour of a texture at [u, v], interpolated between four texels.
-fn bilinear(texture: &Texture, at: [f32; 2]) -> [f32; 3] {
-    let side = texture.image.width();
+impl Hit {
+    /// Returns the texture coordinates [u, v] of the point, from those of the vertices.
+    pub fn coordinates(&self, mesh: &Mesh, of_vertices: &[[f32; 2]]) -> [f32; 2] {
+        std::array::from_fn(|axis| {
+            let corners = mesh.triangles[self.triangle].iter().zip(self.weights);
+            corners.map(|(&corner, weight)| of_vertices[corner as usize][axis] * weight).sum()
+        })
+    }
+}
+
+/// Returns the four texels around [u, v] of a texture with `side` texels along each side, and their weights in bilinear interpolation.
+pub(super) fn around(side: u32, at: [f32; 2]) -> [(usize, f32); 4] {
     let place = at.map(|part| (part * side as f32 - 0.5).clamp(0.0, side as f32 - 1.0));
     let low = place.map(|part| part as u32);
     let high = low.map(|part| (part + 1).min(side - 1));
     let [x, y] = [place[0] - low[0] as f32, place[1] - low[1] as f32];
-    let texel =
-        |column: u32, row: u32, channel: usize| f32::from(texture.image.get_pixel(column, row).0[channel]);
+    let texel = |column: u32, row: u32| row as usize * side as usize + column as usize;
+    [
+        (texel(low[0], low[1]), (1.0 - x) * (1.0 - y)),
+        (texel(high[0], low[1]), x * (1.0 - y)),
+        (texel(low[0], high[1]), (1.0 - x) * y),
+        (texel(high[0], high[1]), x * y),
+    ]
+}
+
+/// Returns the colour of a texture at [u, v], interpolated between four texels.
+fn bilinear(texture: &Texture, at: [f32; 2]) -> [f32; 3] {
+    let bytes = texture.image.as_raw();
+    let texels = around(texture.image.width(), at);
     std::array::from_fn(|channel| {
-        let row = |row: u32| (1.0 - x) * texel(low[0], row, channel) + x * texel(high[0], row, channel);
-        ((1.0 - y) * row(low[1]) + y * row(high[1])) / 255.0
+        texels.iter().map(|&(texel, weight)| f32::from(bytes[3 * texel + channel]) * weight).sum::<f32>()
+            / 255.0
     })
+}
+
+/// Returns true for each triangle that a camera sees and for the triangles that share an edge with one of these; true for all without
+/// cameras. At most [`MOST_CAMERAS`] cameras are used.
+///
+/// # Errors
+/// When a camera's picture is larger than pictures may be.
+pub(super) fn shown(mesh: &Mesh, cameras: &[Camera], threads: usize) -> Result<Vec<bool>> {
+    if cameras.is_empty() {
+        return Ok(vec![true; mesh.triangles.len()]);
+    }
+    let used: Vec<&Camera> = cameras.iter().step_by(cameras.len().div_ceil(MOST_CAMERAS).max(1)).collect();
+    let seen_by = |cameras: &[&Camera]| -> Result<Vec<bool>> {
+        let mut seen = vec![false; mesh.triangles.len()];
+        for camera in cameras {
+            Samples::of(mesh, camera, 1)?
+                .nearest
+                .iter()
+                .filter(|(_, triangle)| *triangle != NONE)
+                .for_each(|&(_, triangle)| seen[triangle as usize] = true);
+        }
+        Ok(seen)
+    };
+    let parts: Vec<Result<Vec<bool>>> = std::thread::scope(|scope| {
+        let seen_by = &seen_by;
+        let parts: Vec<_> = used
+            .chunks(used.len().div_ceil(threads))
+            .map(|cameras| scope.spawn(move || seen_by(cameras)))
+            .collect();
+        let joined = parts.into_iter().map(|part| part.join());
+        joined.map(|part| part.unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    let mut seen = vec![false; mesh.triangles.len()];
+    for part in parts {
+        seen.iter_mut().zip(part?).for_each(|(seen, part)| *seen |= part);
+    }
+    let edge = |triangle: [u32; 3], i: usize| {
+        let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
+        (a.min(b), a.max(b))
+    };
+    let edges: HashSet<(u32, u32)> = (mesh.triangles.iter().zip(&seen))
+        .filter(|&(_, &seen)| seen)
+        .flat_map(|(&triangle, _)| (0..3).map(move |i| edge(triangle, i)))
+        .collect();
+    let beside = |&triangle: &[u32; 3]| (0..3).any(|i| edges.contains(&edge(triangle, i)));
+    Ok(mesh.triangles.iter().map(beside).collect())
 }
 
 /// PSNR of pictures of a mesh.
@@ -188,7 +308,7 @@ mod tests {
         // The face y = 0 shows the whole texture: u along x, v downward.
         let coordinates = mesh.positions.iter().map(|&[x, _, z]| [x, 1.0 - z]).collect();
         let image = RgbImage::from_fn(30, 30, |column, row| Rgb([(8 * column) as u8, (8 * row) as u8, 0]));
-        let texture = Texture { coordinates, image, charts: 1, used: 1.0 };
+        let texture = Texture { coordinates, image, charts: 1, used: 1.0, photographs: 0, shown: 0.0 };
         let (colors, _) = picture(&mesh, Some(&texture), &in_front(), [1.0; 3]).unwrap();
         for row in 6..34 {
             for column in 6..34 {

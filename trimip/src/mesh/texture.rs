@@ -1,21 +1,30 @@
-//! Textures of meshes: the surface is cut into charts, which are laid out in a square image, and the field is asked for the colour of
-//! every texel.
+//! Textures of meshes: the surface is cut into charts, which are laid out in a square image. The field is asked for the colour of every
+//! texel; photographs correct it where they show the surface.
 
 use super::colors::{Sight, colors, eight_bits};
+use super::fit::{Fit, Photographs};
+use super::pictures::shown;
 use super::surface::Mesh;
+use glam::Vec3;
 use image::{Rgb, RgbImage};
-use trimip_core::{Error, Result, Viewer, memory::available_memory};
+use trimip_core::{Camera, Error, Result, Viewer, memory::available_memory};
 use uvunwrap::{Density, MeshInput, Options, Packing};
 
 /// Texels between a chart and the border of its neighbour's padding. They get the colours of the chart, so that filtering and the
 /// first two mip levels do not mix charts.
 const PADDING: u32 = 4;
 
-/// Memory that a texel takes while the texture is made and written, bytes.
-const BYTES_OF_A_TEXEL: u64 = 12;
+/// Memory that a texel takes while the texture is made and written, bytes: without photographs, and with them.
+const BYTES_OF_A_TEXEL: [u64; 2] = [12, 36];
 
 /// Number of texels whose colours are computed at once.
 const TEXELS_AT_ONCE: usize = 1 << 16;
+
+/// Rounds of smoothing before the surface is cut into charts.
+const SMOOTHING: usize = 6;
+
+/// Texels along a length of surface that no camera sees, relative to the other surface.
+const DENSITY_UNSEEN: f32 = 0.25;
 
 /// Smallest and largest side of a texture, texels. The largest is what every WebGPU and most WebGL devices accept, doubled.
 pub const SIDES: [u32; 2] = [64, 16_384];
@@ -31,27 +40,46 @@ pub struct Texture {
     pub charts: u32,
     /// Fraction of the texels that show the surface.
     pub used: f64,
+    /// Number of photographs to which the texture was fitted.
+    pub photographs: usize,
+    /// Fraction of the texels with surface that these photographs show.
+    pub shown: f64,
 }
 
-/// Cuts a mesh into charts and computes the colours of a texture with `side` texels along each side. Returns the mesh, whose vertices
-/// on the borders of charts are duplicated, and its texture. `spacing` is the width of a cell of the grid from which the mesh was
-/// extracted. `watch` receives the share of the work done and returns false to stop; the result is then `None`.
+/// Settings of a texture.
+pub struct Texturing<'a> {
+    /// Number of texels along each side.
+    pub side: u32,
+    /// Width of a cell of the grid from which the mesh was extracted, world units.
+    pub spacing: f64,
+    /// Photographs to which the texture is fitted; without them, all colours are those of the field.
+    pub photographs: Option<Photographs<'a>>,
+    /// Training cameras. Triangles that none of them sees get a quarter of the texels along each side.
+    pub cameras: &'a [Camera],
+    /// Number of threads; 0 = one per core.
+    pub threads: usize,
+}
+
+/// Cuts a mesh into charts and computes the colours of a texture. Returns the mesh, whose vertices on the borders of charts are
+/// duplicated, and its texture. `watch` receives the share of the work done and returns false to stop; the result is then `None`.
 ///
 /// # Errors
-/// When the side is out of range, the memory or the image is too small for the texture, or the device fails.
+/// When the side is out of range, the memory or the image is too small for the texture, a photograph cannot be read, or the device
+/// fails.
 pub fn texture(
     viewer: &mut dyn Viewer,
     mesh: &Mesh,
-    spacing: f64,
-    side: u32,
+    what: &Texturing<'_>,
     watch: &mut dyn FnMut(f64) -> bool,
 ) -> Result<Option<(Mesh, Texture)>> {
+    let &Texturing { side, spacing, .. } = what;
     let [least, most] = SIDES;
     if !(least..=most).contains(&side) {
         let found = format!("a texture of {side} texels along each side");
         return Err(Error::input(found, "out of range", format!("choose {least} to {most}")));
     }
-    let needed = BYTES_OF_A_TEXEL * u64::from(side) * u64::from(side);
+    let of_texel = BYTES_OF_A_TEXEL[usize::from(what.photographs.is_some())];
+    let needed = of_texel * u64::from(side) * u64::from(side);
     if let Some(available) = available_memory().filter(|&available| available < needed) {
         let [needed, available] = [needed, available].map(|bytes| 1e-9 * bytes as f64);
         let found = format!("takes {needed:.1} GB, but only {available:.1} GB are available");
@@ -64,11 +92,14 @@ pub fn texture(
     if !watch(0.0) {
         return Ok(None);
     }
-    let Unwrapped { mesh, coordinates, charts } = unwrap(mesh, side)?;
+    let threads = threads(what.threads);
+    let Unwrapped { mesh, coordinates, charts } = unwrap(mesh, side, &shown(mesh, what.cameras, threads)?)?;
     let texels = Texels::of(&mesh, &coordinates, side);
     let mut image = RgbImage::new(side, side);
     let mut covered = vec![false; (side * side) as usize];
     let mut done = 0;
+    // The share of the work that ends with the colours of the field.
+    let asked = if what.photographs.is_some() { 0.3 } else { 1.0 };
     // A query shows detail of the width of a texel, unless the cells of the grid are finer.
     let texel = texels.width(&mesh, &coordinates);
     let sight = Sight { reach: 2.0 * spacing, radius: 0.5 * texel.min(spacing) };
@@ -90,15 +121,41 @@ pub fn texture(
         if batch.len() >= TEXELS_AT_ONCE {
             done += batch.len();
             paint(&mut batch)?;
-            if !watch((done as f64 / (0.7 * f64::from(side * side))).min(0.99)) {
+            if !watch(asked * (done as f64 / (0.7 * f64::from(side * side))).min(0.99)) {
                 return Ok(None);
             }
         }
     }
     paint(&mut batch)?;
     let used = covered.iter().filter(|&&covered| covered).count() as f64 / covered.len() as f64;
-    spread(&mut image, &mut covered);
-    Ok(watch(1.0).then_some((mesh, Texture { coordinates, image, charts, used })))
+    let on_surface = covered.clone();
+    spread(&mut image, &mut covered.clone());
+    let (mut photographs, mut seen_share) = (0, 0.0);
+    if let Some(given) = &what.photographs {
+        let fit = Fit { mesh: &mesh, coordinates: &coordinates, side, threads };
+        let mut colors: Vec<[f32; 3]> =
+            image.pixels().map(|pixel| pixel.0.map(|byte| f32::from(byte) / 255.0)).collect();
+        let mut seen = vec![false; covered.len()];
+        let fitted =
+            fit.run(given, &mut colors, &mut seen, &mut |share| watch(asked + (1.0 - asked) * share))?;
+        let Some(count) = fitted else { return Ok(None) };
+        photographs = count;
+        let both = on_surface.iter().zip(&seen).filter(|&(&surface, &seen)| surface && seen).count();
+        seen_share = both as f64 / on_surface.iter().filter(|&&surface| surface).count().max(1) as f64;
+        image.pixels_mut().zip(&colors).for_each(|(pixel, &color)| pixel.0 = eight_bits(color));
+        covered.iter_mut().zip(seen).for_each(|(covered, seen)| *covered |= seen);
+        spread(&mut image, &mut covered);
+    }
+    Ok(watch(1.0)
+        .then_some((mesh, Texture { coordinates, image, charts, used, photographs, shown: seen_share })))
+}
+
+/// Returns the number of threads that a setting means: 0 is one per core.
+fn threads(setting: usize) -> usize {
+    match setting {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        given => given,
+    }
 }
 
 /// A mesh whose vertices on the borders of charts are duplicated, with the texture coordinates of its vertices.
@@ -108,8 +165,39 @@ struct Unwrapped {
     charts: u32,
 }
 
-fn unwrap(mesh: &Mesh, side: u32) -> Result<Unwrapped> {
-    let input = MeshInput::new(&mesh.positions, mesh.triangles.as_flattened());
+/// Returns the positions of the vertices after [`SMOOTHING`] rounds, in each of which a vertex moves half of the way to the mean of its
+/// neighbours. Noise of the surface would cut it into charts of a few triangles.
+fn smoothed(mesh: &Mesh) -> Vec<[f32; 3]> {
+    let mut positions: Vec<Vec3> = mesh.positions.iter().map(|&position| position.into()).collect();
+    for _ in 0..SMOOTHING {
+        let mut sums = vec![(Vec3::ZERO, 0.0_f32); positions.len()];
+        for triangle in &mesh.triangles {
+            for [a, b] in [[0, 1], [1, 2], [2, 0]].map(|edge| edge.map(|corner| triangle[corner] as usize)) {
+                sums[a] = (sums[a].0 + positions[b], sums[a].1 + 1.0);
+                sums[b] = (sums[b].0 + positions[a], sums[b].1 + 1.0);
+            }
+        }
+        for (position, (sum, count)) in positions.iter_mut().zip(sums) {
+            *position = position.midpoint(if count > 0.0 { sum / count } else { *position });
+        }
+    }
+    positions.iter().map(Vec3::to_array).collect()
+}
+
+/// Cuts a mesh into charts, on a smoothed surface. Triangles that are not `shown` follow the others in the returned mesh.
+fn unwrap(mesh: &Mesh, side: u32, shown: &[bool]) -> Result<Unwrapped> {
+    let part = |wanted: bool| -> Vec<u32> {
+        let triangles = mesh.triangles.iter().zip(shown).filter(|&(_, &shown)| shown == wanted);
+        triangles.flat_map(|(triangle, _)| *triangle).collect()
+    };
+    let parts = [part(true), part(false)];
+    let smooth = smoothed(mesh);
+    let inputs: Vec<MeshInput<'_>> = parts
+        .iter()
+        .zip([1.0, DENSITY_UNSEEN])
+        .filter(|(indices, _)| !indices.is_empty())
+        .map(|(indices, scale)| MeshInput { scale, ..MeshInput::new(&smooth, indices) })
+        .collect();
     let packing = if mesh.triangles.len() > 20_000 { Packing::Fast } else { Packing::Shape };
     let options = Options {
         density: Density::Auto { page_size: side },
@@ -121,29 +209,25 @@ fn unwrap(mesh: &Mesh, side: u32) -> Result<Unwrapped> {
         let place = format!("a texture of {side} texels along each side");
         Error::input(place, what, "choose a larger texture, or a mesh of fewer triangles")
     };
-    let atlas = uvunwrap::generate(&[input], &options).map_err(|error| failed(&error))?;
+    let atlas = uvunwrap::generate(&inputs, &options).map_err(|error| failed(&error))?;
     if atlas.page_count != 1 {
         return Err(failed(&format!("{} charts do not fit", atlas.chart_count)));
     }
-    let output = &atlas.meshes[0];
-    let of_vertex = |list: &[[f32; 3]]| match list.is_empty() {
-        true => Vec::new(),
-        false => output.vertices.iter().map(|vertex| list[vertex.xref as usize]).collect(),
-    };
     // The page is cropped to the rows in use; the image is square.
     let scale = [atlas.width, atlas.height].map(|part| part as f32 / side as f32);
-    let coordinates = output.vertices.iter().map(|vertex| [vertex.uv[0] * scale[0], vertex.uv[1] * scale[1]]);
-    Ok(Unwrapped {
-        mesh: Mesh {
-            positions: of_vertex(&mesh.positions),
-            origin: mesh.origin,
-            normals: of_vertex(&mesh.normals),
-            colors: Vec::new(),
-            triangles: output.indices.as_chunks().0.to_vec(),
-        },
-        coordinates: coordinates.collect(),
-        charts: atlas.chart_count,
-    })
+    let mut cut = Mesh { origin: mesh.origin, ..Mesh::default() };
+    let mut coordinates = Vec::new();
+    for output in &atlas.meshes {
+        let first = coordinates.len() as u32;
+        for vertex in &output.vertices {
+            coordinates.push([vertex.uv[0] * scale[0], vertex.uv[1] * scale[1]]);
+            cut.positions.push(mesh.positions[vertex.xref as usize]);
+            cut.normals.extend(mesh.normals.get(vertex.xref as usize));
+        }
+        let (triangles, _) = output.indices.as_chunks::<3>();
+        cut.triangles.extend(triangles.iter().map(|triangle| triangle.map(|vertex| first + vertex)));
+    }
+    Ok(Unwrapped { mesh: cut, coordinates, charts: atlas.chart_count })
 }
 
 /// The triangles of a mesh in its texture, in texels.
@@ -210,7 +294,7 @@ fn place(mesh: &Mesh, triangle: usize, weights: [f64; 3]) -> [[f32; 3]; 2] {
             terms.map(|(&corner, weight)| f64::from(list[corner as usize][axis]) * weight).sum::<f64>() as f32
         })
     };
-    let normal = glam::Vec3::from_array(mean(&mesh.normals)).normalize_or(glam::Vec3::Z);
+    let normal = Vec3::from_array(mean(&mesh.normals)).normalize_or(Vec3::Z);
     [mean(&mesh.positions), normal.to_array()]
 }
 
@@ -303,7 +387,7 @@ mod tests {
         let mut mesh = cube();
         mesh.find_normals();
         let side = 128;
-        let Unwrapped { mesh: cut, coordinates, charts } = unwrap(&mesh, side).unwrap();
+        let Unwrapped { mesh: cut, coordinates, charts } = unwrap(&mesh, side, &[true; 12]).unwrap();
         assert!(charts >= 1 && cut.triangles.len() == mesh.triangles.len());
         for (own, cut_triangle) in mesh.triangles.iter().zip(&cut.triangles) {
             assert_eq!(mesh.corners(*own), cut.corners(*cut_triangle));
@@ -326,17 +410,39 @@ mod tests {
     }
 
     #[test]
+    fn surface_that_no_camera_sees_gets_fewer_texels() {
+        let mut mesh = cube();
+        mesh.find_normals();
+        let side = 256;
+        let eye = glam::DVec3::new(4.0, 0.5, 0.5);
+        let k = trimip_core::Intrinsics::from_angle(64, 64, 0.5);
+        let camera = Camera::look_at(k, eye, glam::DVec3::splat(0.5), glam::DVec3::Z);
+        let seen = shown(&mesh, &[camera], 1).unwrap();
+        // The face x = 1, and the triangles that share an edge with it.
+        assert_eq!(mesh.triangles.iter().zip(&seen).filter(|(_, seen)| **seen).count(), 6, "{seen:?}");
+        let Unwrapped { mesh: cut, coordinates, .. } = unwrap(&mesh, side, &seen).unwrap();
+        let texels = Texels::of(&cut, &coordinates, side);
+        let texels_of = |triangle: usize| area(texels.corners[triangle].map(|[x, y]| [x, y, 0.0]));
+        // All triangles of a cube have the same area.
+        for (first, other) in (0..6).zip(6..12) {
+            let ratio = texels_of(first) / texels_of(other);
+            assert!((ratio - 16.0).abs() < 0.1, "{ratio}");
+        }
+        assert_eq!(shown(&mesh, &[], 1).unwrap(), [true; 12], "no camera is known");
+    }
+
+    #[test]
     fn positions_in_the_texture_are_those_of_the_surface() {
         let mut mesh = cube();
         mesh.find_normals();
-        let Unwrapped { mesh, coordinates, .. } = unwrap(&mesh, 64).unwrap();
+        let Unwrapped { mesh, coordinates, .. } = unwrap(&mesh, 64, &[true; 12]).unwrap();
         let texels = Texels::of(&mesh, &coordinates, 64);
         for triangle in 0..mesh.triangles.len() {
             texels.of_triangle(triangle, |_, weights| {
                 let [position, normal] = place(&mesh, triangle, weights);
                 // A point of the unit cube's surface has a coordinate of 0 or 1.
                 assert!(position.iter().any(|x| x.abs() < 1e-6 || (x - 1.0).abs() < 1e-6), "{position:?}");
-                assert!((glam::Vec3::from_array(normal).length() - 1.0).abs() < 1e-6);
+                assert!((Vec3::from_array(normal).length() - 1.0).abs() < 1e-6);
             });
         }
     }

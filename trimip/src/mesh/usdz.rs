@@ -1,9 +1,9 @@
 //! USDZ: a text layer of Universal Scene Description and its texture in an archive, as Apple's and Pixar's programs read it.
 //! Colours already contain the light of the photographs, so the surface emits them and reflects nothing.
 
-use super::colors::linear;
 use super::surface::Mesh;
 use super::texture::Texture;
+use crate::view::pictures::linear;
 use flate2::Crc;
 use std::fmt::Write as _;
 use trimip_core::{Error, Result};

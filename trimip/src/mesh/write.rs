@@ -3,10 +3,11 @@
 //! the coordinates need 64 bits: a PLY file then stores doubles, an OBJ file all digits, and a GLB or USDZ file a node that translates
 //! the vertices.
 
-use super::colors::{eight_bits, linear};
+use super::colors::eight_bits;
 use super::surface::Mesh;
 use super::texture::Texture;
 use super::usdz::usdz;
+use crate::view::pictures::linear;
 use serde_json::json;
 use std::path::{Path, PathBuf};
 use trimip_core::{Error, Result, atomic::write_atomically};

@@ -21,6 +21,15 @@ pub fn finest(views: &ViewSet) -> Vec<Named> {
 /// # Errors
 /// When the file exists but contains no valid cameras.
 pub fn training_cameras(model: &Path, origin: LocalOrigin) -> Result<Option<Vec<Camera>>> {
+    let named = named_training_cameras(model, origin)?;
+    Ok(named.map(|named| named.into_iter().map(|(_, camera)| camera).collect()))
+}
+
+/// Returns the cameras of [`training_cameras`] with the names of their photographs.
+///
+/// # Errors
+/// As [`training_cameras`].
+pub fn named_training_cameras(model: &Path, origin: LocalOrigin) -> Result<Option<Vec<Named>>> {
     let folder = match model.is_dir() {
         true => Some(model),
         false if model.file_name().is_some_and(|name| name == MODEL) => model.parent(),
@@ -31,8 +40,7 @@ pub fn training_cameras(model: &Path, origin: LocalOrigin) -> Result<Option<Vec<
         return Ok(None);
     };
     // Every frame states its projection.
-    let cameras = view::cameras::path(&path, Intrinsics::default(), origin)?;
-    Ok(Some(cameras.into_iter().map(|(_, camera)| camera).collect()))
+    view::cameras::path(&path, Intrinsics::default(), origin).map(Some)
 }
 
 #[cfg(test)]
@@ -54,6 +62,7 @@ mod tests {
             let found = training_cameras(&model, origin).unwrap().unwrap();
             assert!(found.len() == 1 && (found[0].origin - eye).length() < 2e-9);
             assert_eq!(found[0].intrinsics.width, 40);
+            assert_eq!(named_training_cameras(&model, origin).unwrap().unwrap()[0].0, "a");
         }
         assert_eq!(
             training_cameras(&here.join("other.safetensors"), origin).unwrap(),

@@ -10,6 +10,7 @@ mod job;
 #[cfg(feature = "lpips")]
 mod lpips;
 mod measure;
+mod motion_blur;
 mod perceptual_metrics;
 pub mod pictures;
 pub mod strip;
@@ -25,4 +26,5 @@ pub use flip::{PIXELS_PER_DEGREE, flip_colors, flip_of_pictures};
 pub use home::{Home, home};
 pub use job::RenderJob;
 pub use measure::{Measured, RankGroup, TestViews, Watching, evaluate, evaluate_on_worker};
+pub use motion_blur::{Mean, MotionBlur};
 pub use perceptual_metrics::PerceptualMetrics;

@@ -204,6 +204,11 @@ pub fn linear(value: f32) -> f32 {
     if value <= 0.040_45 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
+/// Converts linear light to an sRGB value; the inverse of [`linear`].
+pub fn srgb(light: f32) -> f32 {
+    if light <= 0.040_45 / 12.92 { 12.92 * light } else { 1.055 * light.powf(2.4_f32.recip()) - 0.055 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -227,6 +232,7 @@ mod tests {
     fn linear_light_keeps_black_and_white() {
         assert!(linear(0.0) == 0.0 && (linear(1.0) - 1.0).abs() < 1e-6);
         assert!((linear(0.5) - 0.214_041).abs() < 1e-5);
+        assert!((0..=100).map(|i| i as f32 / 100.0).all(|value| (srgb(linear(value)) - value).abs() < 1e-5));
     }
 
     #[test]
