@@ -175,7 +175,8 @@ fn a_video_that_cannot_be_made_is_refused_before_the_work() {
         (&["--turntable", "3", "--video", "a.mp4", "--what", "depth"], "name color in --what"),
         (&["--turntable", "3", "--rate", "24"], "--video"),
         (&["--turntable", "3", "--video", "a.webm"], "no program `ffmpeg`"),
-        (&["--turntable", "3", "--video", "a.mp4", "--width", "4000", "--height", "9"], "at most 3840"),
+        (&["--turntable", "3", "--video", "a.mp4", "--width", "4000", "--height", "90"], "at most 3840"),
+        (&["--turntable", "3", "--video", "a.mp4", "--width", "15", "--height", "90"], "at least 16"),
     ] {
         let output = command(here, &[&["render", "run"], arguments].concat())
             .env("PATH", here.join("nowhere"))

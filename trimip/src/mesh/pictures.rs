@@ -1,12 +1,12 @@
 //! Pictures of a mesh, and how well they fit the photographs.
 
-use super::silhouettes::rasterise_triangles;
+use super::silhouettes::{Drawn, rasterise_triangles};
 use super::surface::Mesh;
 use super::texture::Texture;
 use crate::view::cameras::resized;
 use glam::DVec3;
 use std::collections::HashSet;
-use trimip_core::{Camera, Cone, Frames, Result};
+use trimip_core::{Camera, Frames, Result};
 
 /// Number of samples along each side of a pixel.
 const SAMPLES: u32 = 3;
@@ -19,14 +19,14 @@ const NONE: u32 = u32::MAX;
 
 /// The triangles that the samples of a picture show.
 pub(super) struct Samples {
-    /// The camera of the picture, with one pixel per sample.
-    camera: Camera,
+    /// Position of the camera.
+    eye: DVec3,
     /// Number of samples along each side of a pixel.
     pub per_side: usize,
     /// Width of the picture, in pixels.
     pub width: usize,
-    /// Distance along the optical axis to the nearest triangle, world units, and its index; row by row. Infinite where there is none.
-    nearest: Vec<(f32, u32)>,
+    /// The nearest point of the mesh, row by row; at infinity where there is none.
+    nearest: Vec<Drawn>,
 }
 
 /// A point of a mesh that a sample shows.
@@ -47,20 +47,20 @@ impl Samples {
     /// When the picture is larger than pictures may be.
     pub fn of(mesh: &Mesh, camera: &Camera, per_side: u32) -> Result<Self> {
         let fine = Camera { intrinsics: resized(camera.intrinsics, per_side.into())?, ..*camera };
-        let mut nearest =
-            vec![(f32::INFINITY, NONE); fine.intrinsics.width as usize * fine.intrinsics.height as usize];
-        rasterise_triangles(mesh, &fine, |pixel, depth, triangle| {
-            if depth < nearest[pixel].0 {
-                nearest[pixel] = (depth, triangle);
+        let none = Drawn { depth: f32::INFINITY, triangle: NONE, weights: [0.0; 3] };
+        let mut nearest = vec![none; fine.intrinsics.width as usize * fine.intrinsics.height as usize];
+        rasterise_triangles(mesh, &fine, |pixel, drawn| {
+            if drawn.depth < nearest[pixel].depth {
+                nearest[pixel] = drawn;
             }
         });
         let (per_side, width) = (per_side as usize, camera.intrinsics.width as usize);
-        Ok(Self { camera: fine, per_side, width, nearest })
+        Ok(Self { eye: camera.origin, per_side, width, nearest })
     }
 
     /// Returns the distances along the optical axis that the samples of a pixel have; infinite where they show no triangle.
     pub fn depths(&self, pixel: usize) -> impl Iterator<Item = f32> + '_ {
-        self.of_pixel(pixel).map(|sample| self.nearest[sample].0)
+        self.of_pixel(pixel).map(|sample| self.nearest[sample].depth)
     }
 
     /// Returns what the samples of a pixel show; `None` where there is no triangle.
@@ -75,22 +75,16 @@ impl Samples {
     }
 
     fn hit(&self, mesh: &Mesh, sample: usize) -> Option<Hit> {
-        let (depth, triangle) = self.nearest[sample];
+        let Drawn { triangle, weights, .. } = self.nearest[sample];
         if triangle == NONE {
             return None;
         }
-        let columns = self.width * self.per_side;
-        let cone: Cone<f64> = self.camera.cone((sample % columns) as u32, (sample / columns) as u32);
-        let ahead = -self.camera.rotation.z_axis;
-        let direction = DVec3::from_array(cone.direction);
-        let point = self.camera.origin + direction * (f64::from(depth) / direction.dot(ahead));
         let triangle = triangle as usize;
         let [a, b, c] = mesh.corners(mesh.triangles[triangle]).map(DVec3::from_array);
         let normal = (b - a).cross(c - a);
-        let part =
-            |from: DVec3, to: DVec3| (to - from).cross(point - from).dot(normal) / normal.length_squared();
-        let weights = [part(b, c), part(c, a), part(a, b)].map(|weight| weight.clamp(0.0, 1.0) as f32);
-        let cosine = (direction.dot(normal) / (direction.length() * normal.length())).abs() as f32;
+        let [u, v, w] = weights.map(f64::from);
+        let ray = u * a + v * b + w * c - self.eye;
+        let cosine = (ray.dot(normal) / (ray.length() * normal.length())).abs() as f32;
         Some(Hit { triangle, weights, cosine })
     }
 }
@@ -184,8 +178,8 @@ pub(super) fn shown(mesh: &Mesh, cameras: &[Camera], threads: usize) -> Result<V
             Samples::of(mesh, camera, 1)?
                 .nearest
                 .iter()
-                .filter(|(_, triangle)| *triangle != NONE)
-                .for_each(|&(_, triangle)| seen[triangle as usize] = true);
+                .filter(|drawn| drawn.triangle != NONE)
+                .for_each(|drawn| seen[drawn.triangle as usize] = true);
         }
         Ok(seen)
     };

@@ -13,13 +13,26 @@ const NEAR: f64 = 1e-4;
 pub fn rasterise(mesh: &Mesh, camera: &Camera) -> Vec<f32> {
     let mut depths =
         vec![f32::INFINITY; camera.intrinsics.width as usize * camera.intrinsics.height as usize];
-    rasterise_triangles(mesh, camera, |pixel, depth, _| depths[pixel] = depths[pixel].min(depth));
+    rasterise_triangles(mesh, camera, |pixel, drawn| depths[pixel] = depths[pixel].min(drawn.depth));
     depths
 }
 
-/// Calls `visit` with each pixel whose centre a triangle covers, the distance along the optical axis to the triangle there, and the
-/// index of the triangle.
-pub(super) fn rasterise_triangles(mesh: &Mesh, camera: &Camera, mut visit: impl FnMut(usize, f32, u32)) {
+/// A point of a triangle that a pixel shows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Drawn {
+    /// Distance along the optical axis, world units.
+    pub depth: f32,
+    /// Index of the triangle.
+    pub triangle: u32,
+    /// Weights of the triangle's corners at the point.
+    pub weights: [f32; 3],
+}
+
+/// A corner of a triangle that is drawn: column, row and reciprocal distance, and the weights of the mesh's triangle there.
+type Corner = ([f64; 3], [f64; 3]);
+
+/// Calls `visit` with each pixel whose centre a triangle covers, and the point of the triangle there.
+pub(super) fn rasterise_triangles(mesh: &Mesh, camera: &Camera, mut visit: impl FnMut(usize, Drawn)) {
     let k = camera.intrinsics;
     let (width, height) = (k.width as usize, k.height as usize);
     let to_camera = camera.rotation.transpose();
@@ -36,31 +49,41 @@ pub(super) fn rasterise_triangles(mesh: &Mesh, camera: &Camera, mut visit: impl 
         let corners = triangle.map(|vertex| seen[vertex as usize]);
         let mut ring = Vec::with_capacity(4);
         for (i, &from) in corners.iter().enumerate() {
-            let to = corners[(i + 1) % 3];
+            let next = (i + 1) % 3;
+            let to = corners[next];
+            let weights = |part: f64| {
+                let mut weights = [0.0; 3];
+                (weights[i], weights[next]) = (1.0 - part, part);
+                weights
+            };
             if from.z >= near {
-                ring.push(from);
+                ring.push((from, weights(0.0)));
             }
             if (from.z >= near) != (to.z >= near) {
-                ring.push(from + (to - from) * ((near - from.z) / (to.z - from.z)));
+                let part = (near - from.z) / (to.z - from.z);
+                ring.push((from + (to - from) * part, weights(part)));
             }
         }
         // Position in pixels, and the reciprocal of the distance, which is linear in the picture.
-        let place = |p: &DVec3| {
+        let place = |&(p, weights): &(DVec3, [f64; 3])| {
             let [x, y] = k.image_of(DVec3::new(p.x, p.y, -p.z))?;
-            Some([x, y, p.z.recip()])
+            Some(([x, y, p.z.recip()], weights))
         };
         // Edges that a lens bends are drawn straight; triangles outside the domain of the lens are skipped.
-        let Some(drawn) = ring.iter().map(place).collect::<Option<Vec<[f64; 3]>>>() else { continue };
+        let Some(drawn) = ring.iter().map(place).collect::<Option<Vec<Corner>>>() else { continue };
         for i in 2..drawn.len() {
-            draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut |pixel, depth| {
-                visit(pixel, depth, index as u32);
+            draw([drawn[0], drawn[i - 1], drawn[i]], width, height, &mut |pixel, depth, weights| {
+                let triangle = index as u32;
+                visit(pixel, Drawn { depth, triangle, weights });
             });
         }
     }
 }
 
-/// Draws one triangle of (column, row, 1 / distance).
-fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, visit: &mut impl FnMut(usize, f32)) {
+/// Draws one triangle. `visit` receives the index of a pixel, the distance, and the weights of the mesh's triangle.
+fn draw(corners: [Corner; 3], width: usize, height: usize, visit: &mut impl FnMut(usize, f32, [f32; 3])) {
+    let of_mesh = corners.map(|(_, weights)| weights);
+    let corners = corners.map(|(place, _)| place);
     let cross =
         |a: [f64; 3], b: [f64; 3], x: f64, y: f64| (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]);
     let [a, b, c] = corners;
@@ -81,8 +104,17 @@ fn draw(corners: [[f64; 3]; 3], width: usize, height: usize, visit: &mut impl Fn
             let (x, y) = (column as f64 + 0.5, row as f64 + 0.5);
             let weights = [cross(b, c, x, y), cross(c, a, x, y), cross(a, b, x, y)].map(|w| w / area);
             if weights.iter().all(|&w| w >= 0.0) {
-                let reciprocal: f64 = weights.iter().zip(&corners).map(|(w, corner)| w * corner[2]).sum();
-                visit(row * width + column, reciprocal.recip() as f32);
+                // In the picture, weights divided by distances are linear.
+                let parts: [f64; 3] = std::array::from_fn(|i| weights[i] * corners[i][2]);
+                let depth = parts.iter().sum::<f64>().recip();
+                let weight = |corner: usize| -> f64 {
+                    parts.iter().zip(&of_mesh).map(|(part, weights)| part * depth * weights[corner]).sum()
+                };
+                visit(
+                    row * width + column,
+                    depth as f32,
+                    [weight(0), weight(1), weight(2)].map(|w| w as f32),
+                );
             }
         }
     }

@@ -40,7 +40,7 @@ pub fn named_training_cameras(model: &Path, origin: LocalOrigin) -> Result<Optio
         return Ok(None);
     };
     // Every frame states its projection.
-    view::cameras::path(&path, Intrinsics::default(), origin).map(Some)
+    view::cameras::named_path(&path, Intrinsics::default(), origin).map(Some)
 }
 
 #[cfg(test)]

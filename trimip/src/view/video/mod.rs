@@ -23,6 +23,8 @@ struct Format {
     open: Option<Opens>,
     /// Largest sides of the pictures, the longer one first.
     largest: [u32; 2],
+    /// Smallest side of the pictures.
+    least: u32,
 }
 
 /// Opens an encoder that writes to a file, for pictures of a size (width, height) at a rate (pictures per second).
@@ -31,14 +33,14 @@ type Opens = fn(&File, [u32; 2], f64) -> std::result::Result<Box<dyn Encoder>, S
 /// All formats.
 const FORMATS: [Format; 6] = [
     #[cfg(feature = "mp4")]
-    Format { ending: "mp4", open: Some(mp4::open), largest: mp4::LARGEST },
+    Format { ending: "mp4", open: Some(mp4::open), largest: mp4::LARGEST, least: mp4::LEAST },
     #[cfg(not(feature = "mp4"))]
-    Format { ending: "mp4", open: None, largest: [u32::MAX; 2] },
-    Format { ending: "gif", open: Some(gif::open), largest: [65_535; 2] },
-    Format { ending: "webp", open: Some(webp::open), largest: [1 << 14; 2] },
-    Format { ending: "mov", open: None, largest: [u32::MAX; 2] },
-    Format { ending: "mkv", open: None, largest: [u32::MAX; 2] },
-    Format { ending: "webm", open: None, largest: [u32::MAX; 2] },
+    Format { ending: "mp4", open: None, largest: [u32::MAX; 2], least: 1 },
+    Format { ending: "gif", open: Some(gif::open), largest: [65_535; 2], least: 1 },
+    Format { ending: "webp", open: Some(webp::open), largest: [1 << 14; 2], least: 1 },
+    Format { ending: "mov", open: None, largest: [u32::MAX; 2], least: 1 },
+    Format { ending: "mkv", open: None, largest: [u32::MAX; 2], least: 1 },
+    Format { ending: "webm", open: None, largest: [u32::MAX; 2], least: 1 },
 ];
 
 /// Returns the format of a file name.
@@ -59,7 +61,14 @@ fn format(path: &Path) -> Result<&'static Format> {
 /// # Errors
 /// When the extension is not that of a film, the format has no pictures of this size, or `ffmpeg` is needed and missing.
 pub fn check(path: &Path, [width, height]: [u32; 2]) -> Result<()> {
-    let Format { open, largest, ending } = format(path)?;
+    let Format { open, largest, least, ending } = format(path)?;
+    if width.min(height) < *least {
+        return Err(Error::input(
+            Place::argument("video", path.display()),
+            format!("has pictures of {width} × {height}, and .{ending} at least {least} × {least}"),
+            Advice::Argument("increase {width} and {height}, or end {video} in .gif or .webp".into()),
+        ));
+    }
     if width.max(height) > largest[0] || width.min(height) > largest[1] {
         return Err(Error::input(
             Place::argument("video", path.display()),
@@ -76,7 +85,10 @@ pub fn check(path: &Path, [width, height]: [u32; 2]) -> Result<()> {
     Err(Error::input(
         Place::argument("video", path.display()),
         "no program `ffmpeg` runs on this machine",
-        Advice::Argument("install it, or end {video} in .mp4, .gif or .webp".into()),
+        Advice::Argument(match cfg!(feature = "mp4") {
+            true => "install it, or end {video} in .mp4, .gif or .webp".into(),
+            false => "install it, or end {video} in .gif or .webp".into(),
+        }),
     ))
 }
 

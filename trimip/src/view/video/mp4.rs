@@ -16,6 +16,9 @@ use std::io::BufWriter;
 /// Largest sides of a picture, the longer one first (`openh264`).
 pub const LARGEST: [u32; 2] = [3840, 2160];
 
+/// Smallest side of a picture (`openh264`).
+pub const LEAST: u32 = 16;
+
 /// Quantisation of H.264, 0 to 51. At this value no difference is visible in motion.
 const QUANTISATION: u8 = 18;
 
@@ -23,7 +26,10 @@ const QUANTISATION: u8 = 18;
 const PERIOD: u32 = 60;
 
 /// Bits per pixel and second that the quantisation never needs: no picture is coarser to save space.
-const BITS: u32 = 24;
+const BITS: f64 = 24.0;
+
+/// Most bits per second that the encoder accepts (level 5.2 of H.264). The quantisation is kept beyond them, too.
+const MOST_BITS: f64 = 288e6;
 
 struct Mp4 {
     encoder: H264,
@@ -44,7 +50,7 @@ pub fn open(file: &File, size: [u32; 2], rate: f64) -> Result<Box<dyn Encoder>, 
 
 /// Returns the settings of the encoder.
 fn configuration([width, height]: [u32; 2], rate: f64) -> EncoderConfig {
-    let bits = (f64::from(BITS * width * height) * rate).min(f64::from(i32::MAX)) as u32;
+    let bits = (BITS * f64::from(width) * f64::from(height) * rate).min(MOST_BITS) as u32;
     EncoderConfig::new()
         .usage_type(UsageType::CameraVideoRealTime)
         .complexity(Complexity::High)
@@ -141,6 +147,23 @@ impl YUVSource for Yuv {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pictures_of_every_size_and_rate_are_encoded() {
+        for (size, rate) in
+            [([LEAST, LEAST + 1], 1.0), ([800, 800], 30.0), ([801, 799], 1000.0), (LARGEST, 60.0)]
+        {
+            let file = tempfile::tempfile().unwrap();
+            let mut encoder = open(&file, size, rate).unwrap();
+            let checks =
+                |x: u32, y: u32| image::Rgba([(x * y % 251) as u8, (x % 256) as u8, (y % 256) as u8, 255]);
+            for _ in 0..2 {
+                encoder.add(RgbaImage::from_fn(size[0], size[1], checks)).unwrap();
+            }
+            encoder.end().unwrap();
+            assert!(file.metadata().unwrap().len() > 500, "{size:?}");
+        }
+    }
 
     #[test]
     fn the_range_and_the_colours_are_those_of_bt_709() {
