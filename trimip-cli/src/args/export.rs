@@ -98,6 +98,9 @@ pub struct MeshArguments {
     /// Leave out connected parts whose diagonal is smaller than this share of the longest side of the box
     #[arg(long, default_value_t = 0.02, value_name = "SHARE")]
     pub specks: f64,
+    /// Rounds of smoothing, which removes noise of the size of a cell and keeps the size of the mesh
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub smooth: u32,
     /// Simplify to about this many triangles; 0 = keep all
     #[arg(long, default_value_t = 100_000, value_name = "N")]
     pub triangles: usize,

@@ -72,6 +72,7 @@ fn export_mesh(arguments: &MeshArguments) -> Result<u8> {
         resolution: arguments.resolution,
         level: arguments.level,
         specks: arguments.specks,
+        smoothing: arguments.smooth,
         goal: match (arguments.error, arguments.triangles) {
             (Some(error), _) => Goal::Error(error),
             (None, 0) => Goal::Everything,

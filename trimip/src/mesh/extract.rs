@@ -10,6 +10,7 @@ use super::{
     open::open,
     seen::Sightings,
     simplify,
+    smooth::smooth,
 };
 use trimip_core::{
     Aabb, Camera, Config, Crop, Error, Result, Viewer, config::Contraction, field::model::Model,
@@ -35,6 +36,8 @@ pub struct Extraction {
     pub level: Option<f64>,
     /// Minimum bounding-box diagonal of a connected part, as a share of the longest side of the box; smaller parts are left out.
     pub specks: f64,
+    /// Rounds of smoothing before the mesh is simplified.
+    pub smoothing: u32,
     /// How far the mesh is simplified.
     pub goal: Goal,
     /// True to compute the colour of every vertex.
@@ -64,6 +67,7 @@ impl Default for Extraction {
             resolution: 512,
             level: None,
             specks: 0.02,
+            smoothing: 0,
             goal: Goal::Triangles(100_000),
             colors: true,
             crop: Crop::None,
@@ -196,6 +200,7 @@ pub fn extract(
             "the model has no surface of density {level:.3} that is larger than a speck{left_out}; try a lower level"
         )));
     }
+    smooth(&mut mesh, what.smoothing);
     mesh.find_normals();
     let triangles = mesh.triangles.len();
     if !watch(1.0) {

@@ -14,6 +14,7 @@ mod pictures;
 mod seen;
 mod silhouettes;
 mod simplify;
+mod smooth;
 mod surface;
 mod texture;
 mod usdz;

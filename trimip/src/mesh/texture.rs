@@ -4,6 +4,7 @@
 use super::colors::{Sight, colors, eight_bits};
 use super::fit::{Fit, Photographs};
 use super::pictures::shown;
+use super::smooth::shrunk;
 use super::surface::Mesh;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
@@ -21,7 +22,7 @@ const BYTES_OF_A_TEXEL: [u64; 2] = [12, 36];
 const TEXELS_AT_ONCE: usize = 1 << 16;
 
 /// Rounds of smoothing before the surface is cut into charts.
-const SMOOTHING: usize = 6;
+const SMOOTHING: u32 = 6;
 
 /// Texels along a length of surface that no camera sees, relative to the other surface.
 const DENSITY_UNSEEN: f32 = 0.25;
@@ -165,25 +166,6 @@ struct Unwrapped {
     charts: u32,
 }
 
-/// Returns the positions of the vertices after [`SMOOTHING`] rounds, in each of which a vertex moves half of the way to the mean of its
-/// neighbours. Noise of the surface would cut it into charts of a few triangles.
-fn smoothed(mesh: &Mesh) -> Vec<[f32; 3]> {
-    let mut positions: Vec<Vec3> = mesh.positions.iter().map(|&position| position.into()).collect();
-    for _ in 0..SMOOTHING {
-        let mut sums = vec![(Vec3::ZERO, 0.0_f32); positions.len()];
-        for triangle in &mesh.triangles {
-            for [a, b] in [[0, 1], [1, 2], [2, 0]].map(|edge| edge.map(|corner| triangle[corner] as usize)) {
-                sums[a] = (sums[a].0 + positions[b], sums[a].1 + 1.0);
-                sums[b] = (sums[b].0 + positions[a], sums[b].1 + 1.0);
-            }
-        }
-        for (position, (sum, count)) in positions.iter_mut().zip(sums) {
-            *position = position.midpoint(if count > 0.0 { sum / count } else { *position });
-        }
-    }
-    positions.iter().map(Vec3::to_array).collect()
-}
-
 /// Cuts a mesh into charts, on a smoothed surface. Triangles that are not `shown` follow the others in the returned mesh.
 fn unwrap(mesh: &Mesh, side: u32, shown: &[bool]) -> Result<Unwrapped> {
     let part = |wanted: bool| -> Vec<u32> {
@@ -191,7 +173,8 @@ fn unwrap(mesh: &Mesh, side: u32, shown: &[bool]) -> Result<Unwrapped> {
         triangles.flat_map(|(triangle, _)| *triangle).collect()
     };
     let parts = [part(true), part(false)];
-    let smooth = smoothed(mesh);
+    // Noise of the surface would cut it into charts of a few triangles.
+    let smooth = shrunk(mesh, SMOOTHING);
     let inputs: Vec<MeshInput<'_>> = parts
         .iter()
         .zip([1.0, DENSITY_UNSEEN])
@@ -423,7 +406,7 @@ mod tests {
         let Unwrapped { mesh: cut, coordinates, .. } = unwrap(&mesh, side, &seen).unwrap();
         let texels = Texels::of(&cut, &coordinates, side);
         // Texels per area of the smoothed surface, on which charts are cut.
-        let smooth = smoothed(&mesh);
+        let smooth = shrunk(&mesh, SMOOTHING);
         let moved = |corner: [f64; 3]| {
             let own = mesh.positions.iter().position(|position| position.map(f64::from) == corner);
             smooth[own.unwrap()].map(f64::from)
