@@ -1,6 +1,6 @@
 //! Textures fitted to photographs: the texels for which pictures of the mesh have the colours of the training photographs.
 
-use super::pictures::{Samples, around};
+use super::samples::{Samples, around};
 use super::surface::Mesh;
 use std::collections::HashMap;
 use std::ops::Range;
@@ -207,7 +207,7 @@ fn usable(samples: &Samples, camera: &Camera, pixels: usize) -> Vec<bool> {
 mod tests {
     use super::*;
     use crate::mesh::pictures::picture;
-    use crate::mesh::texture::Texture;
+    use crate::mesh::surface::Texture;
     use glam::DVec3;
     use image::{Rgb, RgbImage};
     use trimip_core::{Alpha, Intrinsics, Scale, View};

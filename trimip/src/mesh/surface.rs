@@ -1,5 +1,6 @@
-//! A triangle mesh: its measures, its defects as a surface, its normals.
+//! A triangle mesh: its measures, its defects as a surface, its normals, its texture.
 
+use image::RgbImage;
 use std::collections::HashMap;
 use trimip_core::scene::origin::LocalOrigin;
 
@@ -138,6 +139,23 @@ pub(super) fn signed_volume([a, b, c]: [[f64; 3]; 3]) -> f64 {
 fn area_vector([a, b, c]: [[f64; 3]; 3]) -> [f64; 3] {
     let [a, b, c] = [a, b, c].map(glam::DVec3::from_array);
     (0.5 * (b - a).cross(c - a)).to_array()
+}
+
+/// A texture of a mesh.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Texture {
+    /// One per vertex of the mesh: [u, v] from 0 to 1, from the upper left corner of the image to the lower right one.
+    pub coordinates: Vec<[f32; 2]>,
+    /// Square image, in the colour values of the photographs (sRGB).
+    pub image: RgbImage,
+    /// Number of charts.
+    pub charts: u32,
+    /// Fraction of the texels that show the surface.
+    pub used: f64,
+    /// Number of photographs to which the texture was fitted.
+    pub photographs: usize,
+    /// Fraction of the texels with surface that these photographs show.
+    pub shown: f64,
 }
 
 #[cfg(test)]

@@ -3,9 +3,9 @@
 
 use super::colors::{Sight, colors, eight_bits};
 use super::fit::{Fit, Photographs};
-use super::pictures::shown;
+use super::samples::shown;
 use super::smooth::shrunk;
-use super::surface::Mesh;
+use super::surface::{Mesh, Texture};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 use trimip_core::{Camera, Error, Result, Viewer, memory::available_memory};
@@ -29,23 +29,6 @@ const DENSITY_UNSEEN: f32 = 0.25;
 
 /// Smallest and largest side of a texture, texels. The largest is what every WebGPU and most WebGL devices accept, doubled.
 pub const SIDES: [u32; 2] = [64, 16_384];
-
-/// A texture of a mesh.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Texture {
-    /// One per vertex of the mesh: [u, v] from 0 to 1, from the upper left corner of the image to the lower right one.
-    pub coordinates: Vec<[f32; 2]>,
-    /// Square image, in the colour values of the photographs (sRGB).
-    pub image: RgbImage,
-    /// Number of charts.
-    pub charts: u32,
-    /// Fraction of the texels that show the surface.
-    pub used: f64,
-    /// Number of photographs to which the texture was fitted.
-    pub photographs: usize,
-    /// Fraction of the texels with surface that these photographs show.
-    pub shown: f64,
-}
 
 /// Settings of a texture.
 pub struct Texturing<'a> {

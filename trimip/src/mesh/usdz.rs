@@ -1,8 +1,7 @@
 //! USDZ: a text layer of Universal Scene Description and its texture in an archive, as Apple's and Pixar's programs read it.
 //! Colours already contain the light of the photographs, so the surface emits them and reflects nothing.
 
-use super::surface::Mesh;
-use super::texture::Texture;
+use super::surface::{Mesh, Texture};
 use crate::view::pictures::linear;
 use flate2::Crc;
 use std::fmt::Write as _;

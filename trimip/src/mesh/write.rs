@@ -4,8 +4,7 @@
 //! the vertices.
 
 use super::colors::eight_bits;
-use super::surface::Mesh;
-use super::texture::Texture;
+use super::surface::{Mesh, Texture};
 use super::usdz::usdz;
 use crate::view::pictures::linear;
 use serde_json::json;
