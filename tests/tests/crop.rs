@@ -147,7 +147,8 @@ fn an_object_has_no_crop_and_a_given_one_is_kept() {
     for (crop, part) in [
         ("ball 1,2", "a ball has four numbers"),
         ("box 0,0,0,1,1,0", "above the first"),
-        ("cube", "a crop begins with none, box or ball"),
+        ("cube", "a crop begins with none, box, ball or half"),
+        ("half 0,0,0,1", "a half-space has six numbers"),
     ] {
         refuses(here, &["export", "mesh", "run", "--crop", crop], &[part, "or auto"]);
         refuses(here, &["render", "run", "--crop", crop], &[part, "or auto"]);

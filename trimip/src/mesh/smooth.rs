@@ -73,15 +73,23 @@ mod tests {
     use crate::mesh::{Grid, march};
     use glam::DVec3;
 
+    /// Returns a number from -0.5 to 0.5 (SplitMix64).
+    fn white(index: u64) -> f64 {
+        let mut bits = index.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        bits = (bits ^ bits >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        bits = (bits ^ bits >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+        (bits ^ bits >> 31) as f64 / u64::MAX as f64 - 0.5
+    }
+
     /// Returns a ball of radius 0.5 whose surface has noise of the size of half a cell.
     fn noisy_ball() -> (Mesh, f64) {
         let spacing = 1.0 / 32.0;
         let grid = Grid { origin: [-0.75; 3], spacing, points: [49; 3] };
-        let mesh = march(&grid, 0.0, |z, layer| {
+        let mesh = march(&grid, 1.0, |z, layer| {
             for (i, value) in layer.iter_mut().enumerate() {
                 let point = DVec3::from(grid.point([i % 49, i / 49, z]));
-                let noise = ((i * 7919 + z * 104_729) % 1000) as f64 / 1000.0 - 0.5;
-                *value = (0.5 - point.length() + spacing * noise) as f32;
+                let noise = white((z * 49 * 49 + i) as u64);
+                *value = (20.0 * (0.5 - point.length() + spacing * noise)).exp() as f32;
             }
             Ok(())
         });
@@ -106,9 +114,16 @@ mod tests {
         let small = Mesh { positions: shrunk(&mesh, 20), ..mesh.clone() };
         smooth(&mut mesh, 10);
         let after = radii(&mesh);
-        assert!(before[1] > 0.15 * spacing && after[1] < 0.5 * before[1], "{before:?} -> {after:?}");
+        let mut longer = mesh.clone();
+        smooth(&mut longer, 40);
+        let noise = [before, after, radii(&longer)].map(|[_, deviation]| deviation);
+        // Ten rounds keep 0.59 of a wave whose neighbours' mean is half of it, (0.75 · 1.265)¹⁰, and more of a longer one.
+        assert!(
+            noise[0] > 0.15 * spacing && noise[1] < 0.8 * noise[0] && noise[2] < 0.8 * noise[1],
+            "{noise:?}"
+        );
         assert!((after[0] / before[0] - 1.0).abs() < 0.01, "{before:?} -> {after:?}");
-        assert!(radii(&small)[0] < 0.98 * before[0], "without the steps back the ball shrinks");
+        assert!(radii(&small)[0] < 0.995 * before[0], "without the steps back the ball shrinks");
         assert_eq!(mesh.defects(), defects);
     }
 
@@ -116,7 +131,7 @@ mod tests {
     fn the_border_of_an_open_mesh_stays() {
         let (mut mesh, _) = noisy_ball();
         let upper: Vec<bool> = (mesh.triangles.iter())
-            .map(|triangle| triangle.iter().all(|&vertex| mesh.positions[vertex as usize][2] > 0.0))
+            .map(|triangle| triangle.iter().all(|&vertex| mesh.positions[vertex as usize][2] > 0.1))
             .collect();
         mesh.retain(|i| upper[i]);
         let (border, before) = (on_border(&mesh), mesh.positions.clone());
