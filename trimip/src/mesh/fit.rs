@@ -4,7 +4,7 @@ use super::samples::{Samples, around};
 use super::surface::Mesh;
 use std::collections::HashMap;
 use std::ops::Range;
-use trimip_core::{Camera, Frames, Result, ViewSet};
+use trimip_core::{Camera, Frames, Result, View, ViewSet};
 
 /// Number of samples along each side of a pixel.
 const SAMPLES: u32 = 2;
@@ -33,10 +33,13 @@ const PRIOR: f32 = 0.05;
 /// Number of rows that are compared at once.
 const ROWS: usize = 128;
 
+/// Most pixels of a photograph that is compared; larger ones are compared at a coarser scale, which bounds the memory of their samples.
+const MOST_PIXELS: u64 = 4_000_000;
+
 /// Training photographs and their cameras.
 #[derive(Clone, Copy)]
 pub struct Photographs<'a> {
-    /// The photographs. Their finest scale is used.
+    /// The photographs. The finest scale of at most four million pixels is used, or the coarsest.
     pub frames: &'a dyn Frames,
     /// Cameras by the name of the photograph; other photographs keep the cameras of their frames.
     pub cameras: &'a HashMap<String, Camera>,
@@ -90,12 +93,13 @@ impl Fit<'_> {
                     return Ok(None);
                 }
                 let set = photographs.frames.load(index)?;
-                let Some(view) = set.views.first() else { continue };
+                let Some(scale) = scale(&set) else { continue };
+                let view = &set.views[scale];
                 let camera = photographs
                     .cameras
                     .get(&view.name)
                     .map_or(view.camera, |camera| Camera { intrinsics: view.camera.intrinsics, ..*camera });
-                used += usize::from(self.compare(&set, &camera, colors, &mut sums)?);
+                used += usize::from(self.compare(&set, scale, &camera, colors, &mut sums)?);
             }
             for ((color, shown), [r, g, b, weight]) in colors.iter_mut().zip(&mut *shown).zip(sums) {
                 if weight > 0.0 {
@@ -108,10 +112,17 @@ impl Fit<'_> {
         Ok(Some(used))
     }
 
-    /// Adds the differences between the finest photograph of `set` and a picture of the mesh. Returns true if the photograph shows the mesh.
-    fn compare(&self, set: &ViewSet, camera: &Camera, colors: &[[f32; 3]], sums: &mut Sums) -> Result<bool> {
+    /// Adds the differences between view `index` of `set` and a picture of the mesh. Returns true if the photograph shows the mesh.
+    fn compare(
+        &self,
+        set: &ViewSet,
+        index: usize,
+        camera: &Camera,
+        colors: &[[f32; 3]],
+        sums: &mut Sums,
+    ) -> Result<bool> {
         let samples = Samples::of(self.mesh, camera, SAMPLES)?;
-        let pixels = set.pixels_of(0);
+        let pixels = set.pixels_of(index);
         let usable = usable(&samples, camera, pixels.len());
         let look = |pixels_of_part: Range<usize>| -> Vec<Seen> {
             let usable = pixels_of_part.filter(|&i| usable[i] && set.alpha.opacity(pixels[i]) > OPAQUE);
@@ -157,6 +168,15 @@ impl Fit<'_> {
         let weight = kept * cosine * cosine;
         (weight > 0.0 && weight.is_finite()).then_some(Seen { texels, color, weight })
     }
+}
+
+/// Returns the index of the view that is compared, of a set of one photograph from fine to coarse.
+fn scale(set: &ViewSet) -> Option<usize> {
+    let fits = |view: &View| {
+        let k = &view.camera.intrinsics;
+        u64::from(k.width) * u64::from(k.height) <= MOST_PIXELS
+    };
+    set.views.iter().position(fits).or_else(|| set.views.len().checked_sub(1))
 }
 
 impl Seen {
@@ -210,7 +230,7 @@ mod tests {
     use crate::mesh::surface::Texture;
     use glam::DVec3;
     use image::{Rgb, RgbImage};
-    use trimip_core::{Alpha, Intrinsics, Scale, View};
+    use trimip_core::{Alpha, Intrinsics, Scale};
 
     const SIDE: u32 = 32;
 

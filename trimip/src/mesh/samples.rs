@@ -10,6 +10,9 @@ use trimip_core::{Camera, Result};
 /// Maximum number of cameras that are asked which triangles they see, evenly spread over all cameras.
 const MOST_CAMERAS: usize = 128;
 
+/// Longest side of the pictures in which these triangles are looked for, pixels.
+const LONGEST: f64 = 1600.0;
+
 /// No triangle.
 const NONE: u32 = u32::MAX;
 
@@ -123,7 +126,10 @@ pub(super) fn shown(mesh: &Mesh, cameras: &[Camera], threads: usize) -> Result<V
     let seen_by = |cameras: &[&Camera]| -> Result<Vec<bool>> {
         let mut seen = vec![false; mesh.triangles.len()];
         for camera in cameras {
-            Samples::of(mesh, camera, 1)?
+            let k = camera.intrinsics;
+            let small = (LONGEST / f64::from(k.width.max(k.height))).min(1.0);
+            let camera = Camera { intrinsics: resized(k, small)?, ..**camera };
+            Samples::of(mesh, &camera, 1)?
                 .nearest
                 .iter()
                 .filter(|drawn| drawn.triangle != NONE)

@@ -28,7 +28,7 @@ const PERIOD: u32 = 60;
 /// Bits per pixel and second that the quantisation never needs: no picture is coarser to save space.
 const BITS: f64 = 24.0;
 
-/// Most bits per second that the encoder accepts (level 5.2 of H.264). The quantisation is kept beyond them, too.
+/// Most bits per second that the encoder accepts (level 5.2 of H.264).
 const MOST_BITS: f64 = 288e6;
 
 struct Mp4 {
