@@ -69,12 +69,12 @@ pub struct Pipelines(Mutex<Vec<Pipeline>>);
 impl Pipelines {
     /// Returns the pipeline of a kernel, and creates it if no equal kernel has one.
     pub fn of(&self, kernel: Kernel) -> Pipeline {
-        let mut counters = lock(&self.0);
-        if let Some(same) = counters.iter().find(|pipeline| pipeline.0.kernel == kernel) {
+        let mut all = lock(&self.0);
+        if let Some(same) = all.iter().find(|pipeline| pipeline.0.kernel == kernel) {
             return same.clone();
         }
         let new = Pipeline::new(kernel);
-        counters.push(new.clone());
+        all.push(new.clone());
         new
     }
 }

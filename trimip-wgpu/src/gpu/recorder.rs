@@ -52,6 +52,8 @@ pub fn arguments() -> Kernel {
 pub struct Recorder {
     device: wgpu::Device,
     encoder: Option<wgpu::CommandEncoder>,
+    /// The pass of the latest dispatches. It ends before the encoder records anything else.
+    pass: Option<wgpu::ComputePass<'static>>,
     /// Parameters of the recorded dispatches, [`PARAMETERS_STRIDE`] bytes each.
     parameters: Vec<u8>,
     uniforms: wgpu::Buffer,
@@ -67,9 +69,10 @@ pub struct Recorder {
 
 /// Numbers of workgroups of a dispatch.
 enum Groups {
-    DeviceCounters(u32, u32),
+    /// Numbers along x and y.
+    Direct(u32, u32),
     /// Numbers on the device: byte offset of the arguments.
-    Counted(u64),
+    Indirect(u64),
 }
 
 impl Recorder {
@@ -86,6 +89,7 @@ impl Recorder {
         Self {
             device: device.clone(),
             encoder: None,
+            pass: None,
             parameters: Vec::new(),
             uniforms: buffer(
                 "parameters",
@@ -104,8 +108,9 @@ impl Recorder {
         }
     }
 
-    /// Returns the command encoder, and creates it if there is none.
+    /// Ends the pass of the latest dispatches and returns the command encoder; creates it if there is none.
     pub fn encoder(&mut self) -> &mut wgpu::CommandEncoder {
+        self.pass = None;
         self.encoder.get_or_insert_with(|| self.device.create_command_encoder(&Default::default()))
     }
 
@@ -122,21 +127,21 @@ impl Recorder {
         parameters: &P,
         size: Size<'_>,
     ) {
-        let counters = |groups: u64| {
+        let direct = |groups: u64| {
             let most = u64::from(MOST_GROUPS);
-            Groups::DeviceCounters(groups.min(most) as u32, groups.div_ceil(most) as u32)
+            Groups::Direct(groups.min(most) as u32, groups.div_ceil(most) as u32)
         };
         let groups = match size {
-            Size::Items(items) => counters(items.div_ceil(GROUP.into())),
-            Size::Groups(groups) => counters(groups),
+            Size::Items(items) => direct(items.div_ceil(GROUP.into())),
+            Size::Groups(groups) => direct(groups),
             Size::Counted { counts, counter, per, group, times } => {
                 let slot = self.indirect;
                 self.indirect += 1;
                 let (sizes, arguments) = (self.sizes.clone(), self.arguments.clone());
                 let params = Arguments { counter, per, group, times, slot };
                 let binds = [counts, &sizes].map(Bind::whole);
-                self.record(&arguments, &binds, &params, Groups::DeviceCounters(1, 1));
-                Groups::Counted(u64::from(slot) * SIZES)
+                self.record(&arguments, &binds, &params, Groups::Direct(1, 1));
+                Groups::Indirect(u64::from(slot) * SIZES)
             }
         };
         self.record(pipeline, binds, parameters, groups);
@@ -179,21 +184,22 @@ impl Recorder {
             layout: &compiled.layout,
             entries: &entries[..bindings.len()],
         });
-        let sizes = self.sizes.clone();
-        let mut pass = self.encoder().begin_compute_pass(&wgpu::ComputePassDescriptor {
-            label: Some(pipeline.entry()),
-            timestamp_writes: None,
-        });
+        if self.pass.is_none() {
+            let pass = self.encoder().begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            self.pass = Some(pass.forget_lifetime());
+        }
+        let Some(pass) = &mut self.pass else { return };
         pass.set_pipeline(&compiled.pipeline);
         pass.set_bind_group(0, &group, &[offset as u32]);
         match groups {
-            Groups::DeviceCounters(x, y) => pass.dispatch_workgroups(x, y, 1),
-            Groups::Counted(offset) => pass.dispatch_workgroups_indirect(&sizes, offset),
+            Groups::Direct(x, y) => pass.dispatch_workgroups(x, y, 1),
+            Groups::Indirect(offset) => pass.dispatch_workgroups_indirect(&self.sizes, offset),
         }
     }
 
     /// Submits the recorded work. Returns false if there is none.
     pub fn submit(&mut self, queue: &wgpu::Queue) -> bool {
+        self.pass = None;
         let Some(encoder) = self.encoder.take() else { return false };
         if !self.parameters.is_empty() {
             queue.write_buffer(&self.uniforms, 0, &self.parameters);
