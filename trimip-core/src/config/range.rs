@@ -12,7 +12,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// Returns the range from the first to the second number.
+    /// Returns the range from the first to the second number. Ranges are compiled in and tested.
     ///
     /// # Panics
     /// If an end is not a number, or if the first is not below the second.

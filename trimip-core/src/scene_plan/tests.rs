@@ -479,6 +479,14 @@ fn networks_and_steps_follow_the_budget() {
     let small = of(&["train.seconds=1"]).train.samples_per_step;
     assert!((4096..16_384).contains(&small), "{small}");
     assert_eq!(of(&["train.seconds=300"]).train.samples_per_step, 16_384, "an object");
+    // A long run takes large steps, unless it draws the few pixels of an object often.
+    let long = ["train.seconds=10000"];
+    let steps = |config: &Config| (config.train.samples_per_step, config.train.batch_scale.at(0.0));
+    assert_eq!(steps(&of(&long)), (16_384, 1.0));
+    let mut many = views(true);
+    let pixels = many.pixels.iter().copied().chain(std::iter::repeat_n([0; 4], 1 << 24));
+    many.pixels = pixels.collect::<Vec<_>>().into();
+    assert_eq!(steps(&planned(&many, &long).unwrap().0), (65_536, 0.5));
 }
 
 #[test]
