@@ -22,5 +22,6 @@ mod run_folder;
 mod scene_plan;
 mod signals;
 mod view;
+mod view_crop;
 mod viewer_example;
 mod web;

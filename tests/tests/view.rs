@@ -11,16 +11,16 @@ use trimip_tests::pages::{TELEPHONE, expect_nothing_cut_off, resize};
 use trimip_tests::watching::{Browser, Page, Received, Shown, view};
 
 /// Trains a run into `here/run`.
-fn trained(here: &Path) {
+pub(crate) fn trained(here: &Path) {
     let answer = run(here, &tiny_and(&["--out", "run"]));
     assert_eq!(answer.code, Some(0), "{answer:?}");
 }
 
-fn enter(shown: &Shown) -> Page {
+pub(crate) fn enter(shown: &Shown) -> Page {
     shown.join(&shown.token, Some(&format!("http://{}", shown.host))).expect("the page may enter")
 }
 
-fn pixels(received: &Received) -> image::RgbImage {
+pub(crate) fn pixels(received: &Received) -> image::RgbImage {
     image::load_from_memory(&received.jpeg).expect("a JPEG").to_rgb8()
 }
 
@@ -335,11 +335,12 @@ fn a_part_of_the_box_and_its_quantities_are_shown() {
 }
 
 /// Script that returns a hash of the canvas, a number that differs for different pictures.
-const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
+pub(crate) const PICTURE: &str = "(() => { const c = document.getElementById('view'); const d = c.getContext('2d')
     .getImageData(0, 0, c.width, c.height).data; let h = 0; for (const b of d) h = (h * 31 + b) | 0; return h; })()";
 
 /// Script that returns true once the picture has all its pixels. While the camera moves, a picture is done with fewer.
-const FINEST: &str = "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
+pub(crate) const FINEST: &str =
+    "(() => { const c = document.getElementById('view'); return c?.dataset.done === 'true'
     && document.getElementById('size').textContent.startsWith(`${c.width}×${c.height},`); })()";
 
 /// Returns the file that the page saves for a path of the current view only.
@@ -449,26 +450,6 @@ fn the_page_works_in_a_browser() {
     assert!(!readable.as_str().unwrap().contains(&shown.token), "{readable}");
     browser.value("document.getElementById('viewer').click()");
     browser.wait("document.getElementById('view')?.dataset.done === 'true'");
-}
-
-#[test]
-fn the_page_opens_cropped_and_its_switch_shows_everything() {
-    let folder = tempfile::tempdir().unwrap();
-    let here = folder.path();
-    trained(here);
-    let shown = Shown::start_with(here, "run", &["--crop", "ball 0,0,0,0.5"]);
-    let Some(mut browser) = Browser::start(1200, 800) else { return };
-    browser.open(&shown.address());
-    browser.wait(FINEST);
-    assert_eq!(browser.value("document.querySelector('#crop code').textContent"), "ball 0,0,0,0.5");
-    let state =
-        "[document.getElementById('cropped').checked, document.getElementById('crop').offsetHeight > 0]";
-    assert_eq!(browser.value(state), json!([true, true]));
-    let cropped = browser.value(PICTURE);
-    browser.value("document.getElementById('cropped').click()");
-    browser.wait(&format!("{PICTURE} !== {cropped} && {FINEST}"));
-    browser.value("document.getElementById('cropped').click()");
-    browser.wait(&format!("{PICTURE} === {cropped}"));
 }
 
 /// Writes the built-in scene to `here/scene`; its test photographs have the given names.

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 use trimip::{Error, Result};
-use trimip_view::{Listener, Scene, Server};
+use trimip_view::{Callbacks, Listener, Scene, Server};
 
 fn main() -> Result<()> {
     let model = std::env::args().nth(1);
@@ -20,5 +20,5 @@ fn main() -> Result<()> {
 pub fn open(model: &Path) -> Result<Server> {
     let (scene, renderers) = Scene::open(model, &[])?;
     let listener = Listener::bind(([127, 0, 0, 1], 0).into())?;
-    Server::open(listener, scene, renderers, None)
+    Server::open(listener, scene, renderers, Callbacks::default())
 }

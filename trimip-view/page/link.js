@@ -9,10 +9,11 @@ const AGAIN = [300, 5000];
 export class Link {
   /**
    * `picture(header, jpeg, milliseconds)` is called with every picture and the time since its request was made, `failed(text)`
-   * with every error, `training(run)` with the state of the watched run, and `state(open)` when the socket opens or breaks.
+   * with every error, `training(run)` with the state of the watched run, `cropped(crop)` with the crop that was kept, and
+   * `state(open)` when the socket opens or breaks.
    */
-  constructor({ picture, failed, training, state }) {
-    Object.assign(this, { picture, failed, training, state });
+  constructor({ picture, failed, training, cropped, state }) {
+    Object.assign(this, { picture, failed, training, cropped, state });
     this.id = 0;
     this.wanted = null;
     this.sent = new Map();
@@ -43,6 +44,7 @@ export class Link {
     if (typeof data === "string") {
       const words = JSON.parse(data);
       if (words.training) return this.training(words.training);
+      if (words.crop) return this.cropped(words.crop);
       this.busy = null;
       this.failed(words.error);
       return this.flush();
@@ -69,6 +71,11 @@ export class Link {
   /** Sends a command to the run: "pause", "resume" or "stop". */
   command(command) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ command }));
+  }
+
+  /** Makes a part of the box, given by two corners, the crop of the model. */
+  keep(part) {
+    if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ keep: part }));
   }
 
   flush() {

@@ -52,6 +52,11 @@ const link = new Link({
   picture: receive,
   failed: (text) => say(text),
   training: tell,
+  cropped: (crop) => {
+    scene.crop = crop;
+    tellCrop();
+    say(`The crop of the model is now ${crop}.`);
+  },
   state: (open) => say(!open ? "The program does not answer. Trying again…" : shown ? "" : "Rendering the first picture…"),
 });
 
@@ -120,15 +125,20 @@ find("unclip").addEventListener("click", () => {
   settled();
 });
 
-find("crop").hidden = scene.crop === "none";
-find("crop").querySelector("code").textContent = scene.crop;
+function tellCrop() {
+  find("crop").hidden = scene.crop === "none";
+  find("crop").querySelector("code").textContent = scene.crop;
+}
+tellCrop();
+find("keep").hidden = !scene.keeps;
+find("keep").addEventListener("click", () => link.keep(clip()));
 find("cropped").checked = find("crop").closest("details").open = scene.cropped;
 find("cropped").addEventListener("change", settled);
 
 /** Returns the visible part of the box, or null for everything. */
 function clip() {
   const whole = clips.every(([low, high]) => low.value === "0" && high.value === "100");
-  find("unclip").disabled = whole;
+  find("unclip").disabled = find("keep").disabled = whole;
   if (whole) return null;
   const { min, max } = scene.box;
   const at = (axis, share) => min[axis] + share * (max[axis] - min[axis]);

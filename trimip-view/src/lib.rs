@@ -18,4 +18,4 @@ pub mod server;
 
 pub use live_view::LiveView;
 pub use scene::Scene;
-pub use server::{Listener, Server};
+pub use server::{Callbacks, Listener, Server};

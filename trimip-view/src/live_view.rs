@@ -2,7 +2,7 @@
 
 use crate::protocol::Command;
 use crate::scene::Scene;
-use crate::server::{Listener, Server};
+use crate::server::{Callbacks, Listener, Server};
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -120,7 +120,8 @@ impl Shared {
             Command::Stop => stop.store(true, Ordering::Relaxed),
         };
         let (scene, renderers) = Scene::of(self.name.clone(), model)?;
-        state.server = Some(Server::open(listener, scene, renderers, Some(Box::new(control)))?);
+        let callbacks = Callbacks { control: Some(Box::new(control)), ..Callbacks::default() };
+        state.server = Some(Server::open(listener, scene, renderers, callbacks)?);
         Ok(())
     }
 }

@@ -120,13 +120,15 @@ pub enum Message {
     View(Request),
     /// A command to the run.
     Command(Command),
+    /// The part of the box that becomes the crop of the model: its lower and upper corner, world units.
+    Keep([[f64; 3]; 2]),
 }
 
 impl Message {
     /// Reads a message.
     ///
     /// # Errors
-    /// When the text is neither a command nor a request, or a number is out of range. The page shows the text of the error.
+    /// When the text is neither a command, nor a crop, nor a request, or a number is out of range. The page shows the text of the error.
     pub fn read(text: &str) -> Result<Self> {
         /// `{"command": "pause"}`.
         #[derive(Deserialize)]
@@ -134,11 +136,28 @@ impl Message {
         struct Steering {
             command: Command,
         }
-        match serde_json::from_str::<Steering>(text) {
-            Ok(steering) => Ok(Self::Command(steering.command)),
+        /// `{"keep": [[0, 0, 0], [1, 1, 1]]}`.
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Keeping {
+            keep: [[f64; 3]; 2],
+        }
+        if let Ok(steering) = serde_json::from_str::<Steering>(text) {
+            return Ok(Self::Command(steering.command));
+        }
+        match serde_json::from_str::<Keeping>(text) {
+            Ok(Keeping { keep }) => part(keep).map(Self::Keep),
             Err(_) => Request::read(text).map(Self::View),
         }
     }
+}
+
+/// Refuses a part of the box that is empty.
+fn part([low, high]: [[f64; 3]; 2]) -> Result<[[f64; 3]; 2]> {
+    if !(0..3).all(|axis| low[axis] < high[axis]) {
+        return Err(Error::input("message", "has an empty clipping box", "expected a view to render"));
+    }
+    Ok([low, high])
 }
 
 impl Request {
@@ -162,11 +181,7 @@ impl Request {
         if request.show.compares() && request.photo.is_none() {
             return refuse("a comparison without a photograph".into());
         }
-        if let Some([low, high]) = request.clip
-            && !(0..3).all(|axis| low[axis] < high[axis])
-        {
-            return refuse("has an empty clipping box".into());
-        }
+        request.clip.map(part).transpose()?;
         request.camera(None)?;
         Ok(request)
     }

@@ -293,7 +293,7 @@ impl Worker {
         let Some(viewer) = renderers.get(renderer) else {
             return Err(Error::run("there is no renderer"));
         };
-        let keep = request.kept(self.scene.config.scene.crop);
+        let keep = request.kept(self.scene.crop());
         if self.clips.get(&renderer).map_or(&[][..], Vec::as_slice) != keep {
             viewer.clip(&keep)?;
             self.clips.insert(renderer, keep);

@@ -6,13 +6,15 @@ use image::imageops::{self, FilterType};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard};
 use trimip::run::folder::RunFolder;
 use trimip::view::pictures::rgb_image;
 use trimip::{backends, settings};
 use trimip_core::field::model::{Model, assets};
 use trimip_core::scene::origin::LocalOrigin;
-use trimip_core::{Camera, Config, Error, Frames, Result, Viewer, config::EncoderKind, engine::proxy::Proxy};
+use trimip_core::{
+    Aabb, Camera, Config, Crop, Error, Frames, Result, Viewer, config::EncoderKind, engine::proxy::Proxy,
+};
 
 /// Maximum number of photographs that are kept decoded.
 const KEPT: usize = 4;
@@ -23,6 +25,8 @@ pub struct Scene {
     pub name: String,
     /// Configuration of the model.
     pub config: Config,
+    /// The crop that a page has set, which replaces `scene.crop`.
+    kept: Mutex<Option<Crop>>,
     /// True if pages initially show only the model's crop (`scene.crop`).
     pub cropped: bool,
     /// Training and test photographs, if they are found.
@@ -59,7 +63,41 @@ impl Scene {
             Err(error) => (Photographs::none(), vec![format!("no photographs: {error}")]),
         };
         notes.extend(renderers.notes());
-        Ok((Self { name, config: model.config, cropped: false, photographs, notes, report: None }, renderers))
+        let (config, kept) = (model.config, Mutex::new(None));
+        Ok((Self { name, config, kept, cropped: false, photographs, notes, report: None }, renderers))
+    }
+
+    /// Returns the crop that pages may show alone.
+    pub fn crop(&self) -> Crop {
+        self.kept().unwrap_or(self.config.scene.crop)
+    }
+
+    /// Returns the part of the scene's box between two corners.
+    ///
+    /// # Errors
+    /// When the part lies outside the box.
+    pub fn part(&self, [low, high]: [[f64; 3]; 2]) -> Result<Crop> {
+        let whole = Aabb::<f64>::new(&self.config.scene);
+        let min = std::array::from_fn(|axis| low[axis].max(whole.min[axis]));
+        let max = std::array::from_fn(|axis| high[axis].min(whole.max[axis]));
+        if !(0..3).all(|axis| min[axis] < max[axis]) {
+            return Err(Error::input("crop", "lies outside the scene's box", "move the ends of the clip"));
+        }
+        Ok(Crop::Box { min, max })
+    }
+
+    /// Makes `crop` the crop that pages may show alone.
+    pub fn keep(&self, crop: Crop) {
+        *self.kept() = Some(crop);
+    }
+
+    /// Returns a crop in the coordinates of the photographs.
+    pub fn stated(&self, crop: Crop) -> Crop {
+        LocalOrigin::of(&self.config.data).stated(crop)
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Option<Crop>> {
+        self.kept.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     /// Returns the description that a page receives when it opens.
@@ -72,7 +110,7 @@ impl Scene {
             "box": { "min": scene.aabb_min, "max": scene.aabb_max },
             "up": scene.up,
             "origin": self.config.data.origin,
-            "crop": LocalOrigin::of(&self.config.data).stated(scene.crop),
+            "crop": self.stated(self.crop()),
             "cropped": self.cropped,
             "background": self.config.data.background,
             "renderers": renderers,

@@ -23,7 +23,7 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 use tokio::time::{interval, timeout};
-use trimip_core::{Advice, Error, Result};
+use trimip_core::{Advice, Crop, Error, Result};
 
 /// Maximum number of simultaneous pages.
 const MOST_PAGES: usize = 64;
@@ -64,20 +64,31 @@ struct ServerState {
     /// Token in the address of the report. A report may come from a stranger and reads its own address, which therefore does not
     /// contain the token of the viewer.
     report_token: String,
-    /// The description of the scene, as JSON.
-    about: String,
+    /// The description of the scene, except for its crop.
+    about: serde_json::Value,
     scene: Arc<Scene>,
     render_thread: RenderThread,
     /// Permits for connected pages.
     places: Arc<Semaphore>,
     /// Status of the watched run, as JSON; empty without a run.
     status: watch::Sender<Arc<str>>,
-    /// Receives the commands of pages to the run; `None` without a run.
-    control: Option<Control>,
+    callbacks: Callbacks,
 }
 
 /// Callback for the commands of pages.
 pub type Control = Box<dyn Fn(Command) + Send + Sync>;
+
+/// Callback that stores a crop with the model.
+pub type Keep = Box<dyn Fn(Crop) -> Result<()> + Send + Sync>;
+
+/// What pages can do besides looking.
+#[derive(Default)]
+pub struct Callbacks {
+    /// Receives the commands of pages to the run; `None` without a run.
+    pub control: Option<Control>,
+    /// Stores the crop that a page sets; `None` if pages cannot set one.
+    pub keep: Option<Keep>,
+}
 
 /// A bound address with its token. Connections wait until the [`Server`] starts.
 pub struct Listener {
@@ -116,7 +127,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Starts serving. With `control`, pages watch a training run and can control it.
+    /// Starts serving.
     ///
     /// # Errors
     /// When no thread can be started.
@@ -124,11 +135,12 @@ impl Server {
         listener: Listener,
         scene: Scene,
         renderers: Renderers,
-        control: Option<Control>,
+        callbacks: Callbacks,
     ) -> Result<Self> {
         let Listener { listener, token, address } = listener;
         let mut about = scene.describe(&renderers.names(), &renderers.device());
-        about["training"] = control.is_some().into();
+        about["training"] = callbacks.control.is_some().into();
+        about["keeps"] = callbacks.keep.is_some().into();
         let report_token = self::token()?;
         if about["report"] == true {
             about["report"] = format!("/{report_token}/report.html").into();
@@ -139,12 +151,12 @@ impl Server {
         let state = Arc::new(ServerState {
             token,
             report_token,
-            about: about.to_string(),
+            about,
             scene,
             render_thread,
             places: Arc::new(Semaphore::new(MOST_PAGES)),
             status,
-            control,
+            callbacks,
         });
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -267,7 +279,9 @@ async fn file(Path((_, name)): Path<(String, String)>) -> Answered {
 }
 
 async fn about_scene(State(state): State<Arc<ServerState>>) -> Answered {
-    Ok(text("application/json", state.about.clone()))
+    let mut about = state.about.clone();
+    about["crop"] = state.scene.stated(state.scene.crop()).to_string().into();
+    Ok(text("application/json", about.to_string()))
 }
 
 /// Serves the report of the model's run, in its current state.
@@ -333,7 +347,11 @@ async fn attend(state: Arc<ServerState>, mut socket: WebSocket) {
                         state.render_thread.ask(id, request);
                         true
                     }
-                    Ok(protocol::Message::Command(command)) => match &state.control {
+                    Ok(protocol::Message::Keep(part)) => {
+                        let answer = keep(&state, part).await.unwrap_or_else(|error| failure(&error.to_string()));
+                        send(&mut socket, answer).await
+                    }
+                    Ok(protocol::Message::Command(command)) => match &state.callbacks.control {
                         Some(control) => {
                             control(command);
                             true
@@ -367,6 +385,23 @@ async fn attend(state: Arc<ServerState>, mut socket: WebSocket) {
         }
     }
     state.render_thread.leave(id);
+}
+
+/// Makes a part of the box the crop of the model; returns the message that tells the page.
+async fn keep(state: &Arc<ServerState>, part: [[f64; 3]; 2]) -> Result<Message> {
+    if state.callbacks.keep.is_none() {
+        return Err(Error::input("crop", "cannot be kept here", "name it with --crop"));
+    }
+    let work = Arc::clone(state);
+    let kept = tokio::task::spawn_blocking(move || {
+        let crop = work.scene.part(part)?;
+        work.callbacks.keep.as_ref().map_or(Ok(()), |keep| keep(crop))?;
+        work.scene.keep(crop);
+        Ok(crop)
+    });
+    let crop = kept.await.map_err(|error| Error::run(format!("the crop was not kept: {error}")))??;
+    let crop = state.scene.stated(crop).to_string();
+    Ok(Message::Text(serde_json::json!({ "crop": crop }).to_string().into()))
 }
 
 /// Sends a message. Returns false if the page is gone or accepts nothing within [`PATIENCE`].

@@ -6,8 +6,10 @@ use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
 use trimip::backends;
+use trimip::run::keep_crop;
 use trimip_core::Result;
-use trimip_view::{Listener, Scene, Server};
+use trimip_view::server::Keep;
+use trimip_view::{Callbacks, Listener, Scene, Server};
 
 /// Interval at which the program checks for Ctrl-C.
 const LOOK: Duration = Duration::from_millis(50);
@@ -21,8 +23,13 @@ pub fn run(arguments: &ViewArguments) -> Result<u8> {
         .for_each(|remark| terminal::aside(format!("warning: {remark}")));
     scene.notes.iter().for_each(|note| terminal::aside(format!("warning: {note}")));
     let stop = interrupt::install()?;
+    let model = arguments.model.clone();
+    // Only pages on this machine may change the model.
+    let keep: Option<Keep> =
+        arguments.bind.is_loopback().then(|| Box::new(move |crop| keep_crop(&model, crop)) as Keep);
+    let callbacks = Callbacks { keep, ..Callbacks::default() };
     let listener = Listener::bind(SocketAddr::new(arguments.bind, arguments.port))?;
-    let server = Server::open(listener, scene, renderers, None)?;
+    let server = Server::open(listener, scene, renderers, callbacks)?;
     if !arguments.bind.is_loopback() {
         terminal::aside(
             "warning: everybody who knows the address below can see the model, and nothing is encrypted",

@@ -2,6 +2,7 @@
 
 mod begin;
 pub mod cameras;
+mod crop;
 pub mod csv;
 pub mod curve;
 #[cfg(any(test, feature = "fixtures"))]
@@ -19,5 +20,6 @@ pub mod store;
 pub mod train;
 
 pub use begin::expect_same;
+pub use crop::keep_crop;
 pub use lock::{Lock, lock_for_writing};
 pub use recorded::Recorded;
