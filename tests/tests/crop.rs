@@ -66,6 +66,53 @@ fn the_mesh_of_a_place_is_its_crop() {
 }
 
 #[test]
+fn the_mesh_of_a_place_comes_from_the_depths_of_its_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    train(here, &[]);
+    let opaque =
+        ["--set", "plan.hull=off", "--set", "field.density_scale=200", "--set", "data.builtin_size=48"];
+    let object = tiny_and(&[&["--out", "object"], &opaque[..]].concat());
+    assert_eq!(run(here, &object).code, Some(0));
+    let export = |model: &str, more: &[&str]| {
+        let plain = ["export", "mesh", model, "--out", "mesh.obj", "--resolution", "64", "--triangles", "0"];
+        run(here, &[&plain[..], more].concat())
+    };
+    // After twenty training steps, a place is a fog through which every picture sees.
+    let answer = export("run", &[]);
+    assert_eq!(answer.code, Some(1), "{answer:?}");
+    assert!(answer.err.contains("the depths of 4 pictures agree on no surface"), "{}", answer.err);
+    let answer = export("run", &["--level", "0.01", "--seen-by", "1"]);
+    assert!(answer.code == Some(0) && answer.out.contains("surface: density 0.0100 per unit"), "{answer:?}");
+    // With this density, the fog of an object is an opaque solid in its box.
+    let answer = export("object", &["--surface", "depths", "--seen-by", "1"]);
+    assert_eq!(answer.code, Some(0), "{}", answer.err);
+    assert!(answer.out.contains("surface: depths of 4 pictures on cells "), "{}", answer.out);
+    assert!(answer.out.contains("manifold, open along "), "{}", answer.out);
+    let answer = export("object", &[]);
+    assert!(answer.code == Some(0) && answer.out.contains("surface: density "), "{answer:?}");
+    refuses(
+        here,
+        &["export", "mesh", "run", "--surface", "depths", "--level", "5"],
+        &["--level", "no level"],
+    );
+    // A model without its cameras.
+    fs::create_dir(here.join("alone")).unwrap();
+    fs::copy(here.join("run/model.safetensors"), here.join("alone/my.safetensors")).unwrap();
+    let moved = ["export", "mesh", "alone/my.safetensors", "--resolution", "16"];
+    let moved = [&moved[..], &["--set", "data.format=blender", "--set", "data.root=elsewhere"]].concat();
+    for option in [["--surface", "depths"], ["--seen-by", "2"]] {
+        refuses(
+            here,
+            &[&moved[..], &option].concat(),
+            &[option[0], "neither the data set nor the run folder"],
+        );
+    }
+    let answer = run(here, &[&moved[..], &["--level", "0.01"]].concat());
+    assert!(answer.code == Some(0) && answer.out.contains("surface: density 0.0100"), "{answer:?}");
+}
+
+#[test]
 fn what_no_camera_sees_is_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -13,7 +13,8 @@ pub use capture::CaptureArguments;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use data::{DataAction, DataArguments};
 pub use export::{
-    CameraSet, CamerasArguments, ExportArguments, ExportWhat, MeshArguments, TextureSource, WebArguments,
+    CameraSet, CamerasArguments, ExportArguments, ExportWhat, MeshArguments, SurfaceSource, TextureSource,
+    WebArguments,
 };
 pub use paper::{PaperArguments, Schedule, Split, TableScales};
 pub use render::{PictureFormat, RenderArguments};

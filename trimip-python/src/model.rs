@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
-use trimip::mesh::{self, Extraction, Goal};
+use trimip::mesh::{self, Extraction, Goal, Surface};
 use trimip::run::lock_for_writing;
 use trimip::view::{PerceptualMetrics, TestViews, Watching, evaluate, pictures};
 use trimip::{Viewer, backends, data, settings};
@@ -269,7 +269,8 @@ impl Model {
         PyArray1::from_vec(py, found).reshape([&leading(&points)[..], &[width]].concat())
     }
 
-    /// Extracts the surface where the density crosses `level` (default: the density at which a marching step has an optical depth of 0.2).
+    /// Extracts the surface where the density crosses `level` (default: the density at which a marching step has an optical depth of 0.2). In
+    /// contracted space without a `level`, extracts the surface on which the depths of the training views agree.
     /// The grid has `resolution` cells along the longest side, and the mesh is simplified to about `triangles` triangles (0: all are kept).
     /// The mesh is closed unless the scene has a crop (`scene.crop`) or is contracted.
     #[pyo3(signature = (resolution=512, *, level=None, triangles=100_000, specks=0.02, colors=true))]
@@ -285,11 +286,21 @@ impl Model {
     ) -> PyResult<Mesh> {
         let goal = if triangles == 0 { Goal::Everything } else { Goal::Triangles(triangles) };
         let model = &self.model;
-        let what = Extraction { resolution, level, specks, goal, colors, ..Extraction::of(&model.config) };
         let extracted = self.work(py, |viewer, interrupted| {
             // If the photographs are missing, there are no cameras, and hidden parts are determined from the surface only.
             let cameras = model.config.section().and_then(|config| data::open_test(&config));
             let cameras = cameras.map(|set| set.train).unwrap_or_default();
+            let mut what = Extraction {
+                resolution,
+                level,
+                specks,
+                goal,
+                colors,
+                ..Extraction::of(&model.config, &cameras)
+            };
+            if level.is_some() {
+                what.surface = Surface::Density;
+            }
             mesh::extract(viewer, model, &what, &cameras, &mut |_| interrupted.goes_on())
         })?;
         Ok(Mesh(extracted.mesh))

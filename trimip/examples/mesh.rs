@@ -22,7 +22,7 @@ pub fn extract(model: &Path, resolution: u32) -> trimip::Result<Mesh> {
     let model = read_model(model)?;
     let cameras: Vec<_> =
         data::open(&model.config.section()?)?.train.views.iter().map(|view| view.camera).collect();
-    let settings = Extraction { resolution, ..Extraction::of(&model.config) };
+    let settings = Extraction { resolution, ..Extraction::of(&model.config, &cameras) };
     let mut viewer = backends::load(&model)?;
     let extracted = mesh::extract(viewer.as_mut(), &model, &settings, &cameras, &mut |_| true)?;
     extracted.map(|extracted| extracted.mesh).ok_or_else(|| Error::run("stopped"))

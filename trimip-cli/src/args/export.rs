@@ -34,6 +34,17 @@ pub enum TextureSource {
     Photographs,
 }
 
+/// Definition of the surface of a mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SurfaceSource {
+    /// Depths in contracted space, otherwise the density
+    Auto,
+    /// Where the density crosses a level; closed unless a crop or --seen-by opens it
+    Density,
+    /// Where the depths of pictures from the training cameras agree; open where fewer than --seen-by pictures show it
+    Depths,
+}
+
 /// Options of `export cameras`.
 #[derive(Args, Debug)]
 pub struct CamerasArguments {
@@ -92,7 +103,11 @@ pub struct MeshArguments {
     /// Number of grid cells along the longest side of the box
     #[arg(long, default_value_t = 512, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=2048))]
     pub resolution: u32,
-    /// Density of the surface, per world unit [default: the density at which a marching step has an optical depth of 0.2]
+    /// Definition of the surface
+    #[arg(long, value_enum, default_value = "auto", value_name = "SOURCE")]
+    pub surface: SurfaceSource,
+    /// Density of the surface, per world unit; implies --surface density [default: the density at which a marching step has an optical depth
+    /// of 0.2]
     #[arg(long, value_name = "DENSITY")]
     pub level: Option<f64>,
     /// Leave out connected parts whose diagonal is smaller than this share of the longest side of the box

@@ -1,16 +1,14 @@
-//! The surface of a model: where its density crosses a level, in the scene's own units and axes.
+//! The surface of a model, in the scene's own units and axes: where its density crosses a level, or where the depths of its pictures agree.
 
 use super::{
     Goal, Grid, Mesh, Removed,
     clean::{clean, remove_specks},
     colors::{Sight, colors},
-    hidden::{Bits, directions, visible},
-    march,
-    occupied::Occupied,
-    open::open,
-    seen::Sightings,
+    fusion,
+    occupied::{Occupied, Region},
     simplify,
     smooth::smooth,
+    solid::{self, Solid},
 };
 use trimip_core::{
     Aabb, Camera, Config, Crop, Error, Result, Viewer, config::Contraction, field::model::Model,
@@ -21,18 +19,27 @@ use trimip_core::{
 /// over a few steps has an opacity of about a half.
 const DEPTH_AT_SURFACE: f64 = 0.2;
 
-/// Density that fills hidden voids, relative to that of the surface.
-const FILLED: f32 = 2.0;
-
 /// Minimum number of cameras that see a part. In contracted space, parts that fewer cameras see are left out.
 const LEAST_CAMERAS: u32 = 3;
+
+/// Definition of a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Surface {
+    /// Where the density crosses a level. The surface is closed, except where a crop or the minimum number of cameras opens it.
+    Density,
+    /// Where the depths of pictures that the model renders of the training cameras agree. The surface is open where too few pictures show
+    /// it. Haze and the insides of objects leave no trace.
+    Depths,
+}
 
 /// Settings of an extraction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extraction {
     /// Cells along the longest side of the box.
     pub resolution: u32,
-    /// Density of the surface, per world unit; `None` = the density at which a marching step has an optical depth of 0.2.
+    /// Definition of the surface.
+    pub surface: Surface,
+    /// Density of [`Surface::Density`], per world unit; `None` = the density at which a marching step has an optical depth of 0.2.
     pub level: Option<f64>,
     /// Minimum bounding-box diagonal of a connected part, as a share of the longest side of the box; smaller parts are left out.
     pub specks: f64,
@@ -50,14 +57,15 @@ pub struct Extraction {
 }
 
 impl Extraction {
-    /// Returns the default extraction of a model: within the crop of its scene, and in contracted space only parts that at least three
-    /// cameras see.
-    pub fn of(config: &Config) -> Self {
-        let least_cameras = match config.scene.contraction {
-            Contraction::None => 0,
-            Contraction::Ball => LEAST_CAMERAS,
+    /// Returns the default extraction of a model: within the crop of its scene; in contracted space from depths, and only parts that at
+    /// least three cameras see. Without cameras, the surface is that of the density.
+    pub fn of(config: &Config, cameras: &[Camera]) -> Self {
+        let (surface, least_cameras) = match config.scene.contraction {
+            Contraction::None => (Surface::Density, 0),
+            Contraction::Ball if cameras.is_empty() => (Surface::Density, 0),
+            Contraction::Ball => (Surface::Depths, LEAST_CAMERAS),
         };
-        Self { crop: config.scene.crop, least_cameras, ..Self::default() }
+        Self { crop: config.scene.crop, surface, least_cameras, ..Self::default() }
     }
 }
 
@@ -65,6 +73,7 @@ impl Default for Extraction {
     fn default() -> Self {
         Self {
             resolution: 512,
+            surface: Surface::Density,
             level: None,
             specks: 0.02,
             smoothing: 0,
@@ -76,13 +85,22 @@ impl Default for Extraction {
     }
 }
 
+/// The quantity from which a surface was extracted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Source {
+    /// The surface of this density, per world unit.
+    Density(f64),
+    /// The depths of this number of pictures.
+    Depths(usize),
+}
+
 /// A mesh with figures of its extraction.
 #[derive(Clone, Debug)]
 pub struct Extracted {
     /// The mesh, in the world of the photographs' cameras.
     pub mesh: Mesh,
-    /// Density of the surface, per world unit.
-    pub level: f64,
+    /// The quantity from which the surface was extracted.
+    pub source: Source,
     /// Width of a cell of the grid, world units.
     pub spacing: f64,
     /// Parts that were left out.
@@ -100,13 +118,16 @@ pub fn level_of(config: &Config) -> f64 {
     DEPTH_AT_SURFACE / (f64::from(config.step_length()) * renderer.step_scale.at(1.0))
 }
 
-/// Extracts the surface of a model. Fills voids in occupied cells that no line of sight from outside reaches; the lines have the directions
-/// in which `cameras` look or, without cameras, all directions. Leaves out parts beyond the crop and parts that too few cameras see; the
-/// mesh is open there. Memory use: two layers of the grid, two bits per grid point, and the mesh. `watch` receives the share of the layers
-/// done and returns false to stop; the result is then `None`.
+/// Extracts the surface of a model, seen by the training `cameras`. Leaves out parts beyond the crop and parts that too few cameras see; the
+/// mesh is open there. `watch` receives the share of the layers done and returns false to stop; the result is then `None`.
+///
+/// - [`Surface::Density`] fills voids in occupied cells that no line of sight from outside reaches; the lines have the directions in which
+///   the cameras look or, without cameras, all directions. Memory use: two layers of the grid, two bits per grid point, and the mesh.
+/// - [`Surface::Depths`] renders at most 128 pictures of at most 0.4 megapixels. Memory use: the depths of these pictures, a layer of the
+///   grid, one bit per grid point, and the mesh. A viewer whose `renderer.cones` is 1 renders reduced pictures sooner.
 ///
 /// # Errors
-/// When the settings are out of range, the model has no surface at this level, or the device fails.
+/// When the settings are out of range, the model has no surface at this level, there is no camera to render depths of, or the device fails.
 pub fn extract(
     viewer: &mut dyn Viewer,
     model: &Model,
@@ -115,6 +136,68 @@ pub fn extract(
     watch: &mut dyn FnMut(f64) -> bool,
 ) -> Result<Option<Extracted>> {
     let level = what.level.unwrap_or_else(|| level_of(&model.config));
+    check(what, level)?;
+    let field = Occupied::new(model, what.crop)?;
+    let grid = around(&field.aabb, what.resolution);
+    let threads = model.config.threads as usize;
+    let least = what.least_cameras.min(cameras.len().try_into().unwrap_or(u32::MAX));
+    let speck = what.specks * field.aabb.longest();
+    let region = Region { field: &field, grid: &grid, cameras, least, threads };
+    let (solid, source) = match what.surface {
+        Surface::Density => {
+            let part = solid::Part { crop: what.crop, speck };
+            (solid::surface(viewer, &region, level as f32, &part, watch)?, Source::Density(level))
+        }
+        Surface::Depths => {
+            let Some(mut fused) = fusion::surface(viewer, &region, watch)? else { return Ok(None) };
+            let removed = Removed { specks: remove_specks(&mut fused.mesh, speck), cavities: 0 };
+            let solid = Solid { mesh: fused.mesh, removed, unseen: 0, closed: false };
+            (Some(solid), Source::Depths(fused.pictures))
+        }
+    };
+    let Some(Solid { mut mesh, removed, unseen, closed }) = solid else { return Ok(None) };
+    if mesh.triangles.is_empty() {
+        let left_out = match unseen {
+            0 => String::new(),
+            count => {
+                format!(" ({count} triangles were left out because fewer than {least} cameras see them)")
+            }
+        };
+        return Err(Error::run(match source {
+            Source::Density(level) => format!(
+                "the model has no surface of density {level:.3} that is larger than a speck{left_out}; try a lower level"
+            ),
+            Source::Depths(count) => format!(
+                "the depths of {count} pictures agree on no surface that is larger than a speck; extract the surface of \
+                 the density, or ask for fewer cameras per part"
+            ),
+        }));
+    }
+    smooth(&mut mesh, what.smoothing);
+    mesh.find_normals();
+    let triangles = mesh.triangles.len();
+    if !watch(1.0) {
+        return Ok(None);
+    }
+    simplify(&mut mesh, what.goal);
+    // Simplification may collapse a thin neck and leave a few of its triangles.
+    if closed {
+        clean(&mut mesh, speck);
+    } else {
+        remove_specks(&mut mesh, speck);
+    }
+    if !watch(1.0) {
+        return Ok(None);
+    }
+    if what.colors {
+        mesh.colors = vertex_colors(viewer, &mesh, grid.spacing)?;
+    }
+    mesh.origin = LocalOrigin::of(&model.config.data);
+    Ok(Some(Extracted { mesh, source, spacing: grid.spacing, removed, unseen, triangles }))
+}
+
+/// Refuses settings that are out of range.
+fn check(what: &Extraction, level: f64) -> Result<()> {
     if !(8..=2048).contains(&what.resolution) {
         let found = format!("a mesh of {} cells along the longest side", what.resolution);
         return Err(Error::input(found, "out of range", "choose 8 to 2048"));
@@ -140,87 +223,7 @@ pub fn extract(
             "choose a share of the longest side, above 0 and at most 1",
         ));
     }
-    let field = Occupied::new(model, what.crop)?;
-    let (grid, level_f32) = (around(&field.aabb, what.resolution), level as f32);
-    let layers = grid.points[2];
-    // The grid is sampled twice, because densities are not kept: first for the bits of the solid, then for the surface.
-    let mut solid = Bits::new(grid.points);
-    let mut layer = vec![0.0; grid.layer()];
-    for z in 0..layers {
-        if !watch(0.5 * z as f64 / layers as f64) {
-            return Ok(None);
-        }
-        field.sample(viewer, &grid, z, &mut layer)?;
-        let first = z * layer.len();
-        (0..layer.len()).filter(|&i| layer[i] >= level_f32).for_each(|i| solid.set(first + i));
-    }
-    let threads = model.config.threads as usize;
-    let least = what.least_cameras.min(cameras.len().try_into().unwrap_or(u32::MAX));
-    let sightings = (least > 0).then(|| Sightings::of(&solid, &grid, cameras, threads));
-    let seen = visible(&solid, &directions(cameras), threads);
-    let mut stopped = false;
-    let surface = march(&grid, level_f32, |z, layer| {
-        if stopped || !watch(0.5 + 0.5 * z as f64 / layers as f64) {
-            stopped = true;
-            layer.fill(0.0);
-            return Ok(());
-        }
-        field.sample(viewer, &grid, z, layer)?;
-        let first = z * layer.len();
-        for (i, value) in layer.iter_mut().enumerate() {
-            if *value < level_f32 && !seen.get(first + i) {
-                // Outside the occupied cells nothing is rendered, so there is no void to fill.
-                if field.holds(grid.point([i % grid.points[0], i / grid.points[0], z])) {
-                    *value = level_f32 * FILLED;
-                }
-            }
-        }
-        Ok(())
-    });
-    let mut mesh = surface?;
-    if stopped {
-        return Ok(None);
-    }
-    let speck = what.specks * field.aabb.longest();
-    let mut removed = clean(&mut mesh, speck);
-    let closed = what.crop == Crop::None && sightings.is_none();
-    let mut unseen = 0;
-    if !closed {
-        unseen = open(&mut mesh, &grid, what.crop, sightings.as_ref().map(|sightings| (sightings, least)));
-        removed.specks += remove_specks(&mut mesh, speck);
-    }
-    if mesh.triangles.is_empty() {
-        let left_out = match unseen {
-            0 => String::new(),
-            count => {
-                format!(" ({count} triangles were left out because fewer than {least} cameras see them)")
-            }
-        };
-        return Err(Error::run(format!(
-            "the model has no surface of density {level:.3} that is larger than a speck{left_out}; try a lower level"
-        )));
-    }
-    smooth(&mut mesh, what.smoothing);
-    mesh.find_normals();
-    let triangles = mesh.triangles.len();
-    if !watch(1.0) {
-        return Ok(None);
-    }
-    simplify(&mut mesh, what.goal);
-    // Simplification may collapse a thin neck and leave a few of its triangles.
-    if closed {
-        clean(&mut mesh, speck);
-    } else {
-        remove_specks(&mut mesh, speck);
-    }
-    if !watch(1.0) {
-        return Ok(None);
-    }
-    if what.colors {
-        mesh.colors = vertex_colors(viewer, &mesh, grid.spacing)?;
-    }
-    mesh.origin = LocalOrigin::of(&model.config.data);
-    Ok(Some(Extracted { mesh, level, spacing: grid.spacing, removed, unseen, triangles }))
+    Ok(())
 }
 
 /// Returns a grid of points over a box, one point larger on every side, so that surfaces end within the grid.

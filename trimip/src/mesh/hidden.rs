@@ -1,6 +1,7 @@
 //! Hidden voids of a solid: points that no line of sight from outside reaches. A field has noise there, because no
 //! photograph shows these points, and a mesh would spend most of its triangles on the noise.
 
+use super::threads;
 use glam::DVec3;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use trimip_core::Camera;
@@ -57,10 +58,7 @@ pub fn directions(cameras: &[Camera]) -> Vec<[f64; 3]> {
 pub fn visible(solid: &Bits, directions: &[[f64; 3]], threads: usize) -> Bits {
     let seen: Vec<AtomicU64> = solid.words.iter().map(|_| AtomicU64::new(0)).collect();
     let next = AtomicUsize::new(0);
-    let threads = match threads {
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
-        given => given.min(DIRECTIONS),
-    };
+    let threads = threads::count(threads).min(DIRECTIONS);
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {

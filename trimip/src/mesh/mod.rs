@@ -6,6 +6,7 @@ mod extract;
 mod fit;
 #[cfg(test)]
 mod fixtures;
+mod fusion;
 mod hidden;
 mod marching;
 mod occupied;
@@ -16,13 +17,15 @@ mod seen;
 mod silhouettes;
 mod simplify;
 mod smooth;
+mod solid;
 mod surface;
 mod texture;
+mod threads;
 mod usdz;
 mod write;
 
 pub use clean::{Removed, clean};
-pub use extract::{Extracted, Extraction, extract};
+pub use extract::{Extracted, Extraction, Source, Surface, extract};
 pub use fit::Photographs;
 pub use marching::{Grid, march};
 pub use pictures::{Likeness, picture, psnr};

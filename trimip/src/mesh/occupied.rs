@@ -2,7 +2,7 @@
 
 use super::Grid;
 use trimip_core::{
-    Aabb, Crop, Error, Query, Result, Space, Viewer,
+    Aabb, Camera, Crop, Error, Query, Result, Space, Viewer,
     field::model::{Model, OCCUPANCY},
     geometry::occupancy::cell_of,
     math::bits,
@@ -19,6 +19,18 @@ pub(super) struct Occupied {
     space: Space<f64>,
     resolution: u32,
     bits: Vec<u8>,
+}
+
+/// A part of a model, the grid on which its surface is looked for, and the cameras that see it.
+pub(super) struct Region<'a> {
+    pub field: &'a Occupied,
+    pub grid: &'a Grid,
+    /// The training cameras.
+    pub cameras: &'a [Camera],
+    /// Minimum number of cameras that see a part of the surface.
+    pub least: u32,
+    /// Number of threads; 0 = one per core.
+    pub threads: usize,
 }
 
 impl Occupied {
@@ -57,12 +69,15 @@ impl Occupied {
         Ok(Self { aabb, crops: [crop, end], space, resolution, bits })
     }
 
+    /// Returns true if a point of the world is in the part to extract.
+    pub fn within(&self, point: [f64; 3]) -> bool {
+        self.crops.iter().all(|crop| crop.contains(point))
+    }
+
     /// Returns true if a point of the world is in the crop and in an occupied cell, where rendering places samples.
     pub fn holds(&self, point: [f64; 3]) -> bool {
         let position = self.space.to_cube(point);
-        if !self.crops.iter().all(|crop| crop.contains(point))
-            || !position.iter().all(|p| (0.0..=1.0).contains(p))
-        {
+        if !self.within(point) || !position.iter().all(|p| (0.0..=1.0).contains(p)) {
             return false;
         }
         let cell = cell_of(position.map(|p| p as f32), self.resolution);

@@ -24,11 +24,26 @@ pub(super) fn open(mesh: &mut Mesh, grid: &Grid, crop: Crop, seen: Option<(&Sigh
     count
 }
 
+/// Keeps the triangles of a mesh whose vertices lie between points of the grid for which `shown` is true.
+pub(super) fn retain_between(mesh: &mut Mesh, grid: &Grid, shown: impl Fn([usize; 3]) -> bool) {
+    let between: Vec<bool> =
+        mesh.positions.iter().map(|p| ends(p.map(f64::from), grid).into_iter().all(&shown)).collect();
+    let keep: Vec<bool> =
+        mesh.triangles.iter().map(|t| t.iter().all(|&vertex| between[vertex as usize])).collect();
+    mesh.retain(|i| keep[i]);
+}
+
 /// Returns true for a vertex on an edge of the grid that the border of the crop crosses.
 fn is_cut(position: [f64; 3], grid: &Grid, crop: Crop) -> bool {
+    let [from, to] = ends(position, grid).map(|point| crop.contains(grid.point(point)));
+    from != to
+}
+
+/// Returns the two points of the grid between which a vertex lies.
+fn ends(position: [f64; 3], grid: &Grid) -> [[usize; 3]; 2] {
     let place: [f64; 3] = std::array::from_fn(|axis| (position[axis] - grid.origin[axis]) / grid.spacing);
-    let end = |round: &dyn Fn(f64) -> f64| {
-        crop.contains(std::array::from_fn(|axis| grid.origin[axis] + grid.spacing * round(place[axis])))
-    };
-    end(&|x| (x + ON_POINT).floor()) != end(&|x| (x - ON_POINT).ceil())
+    [
+        std::array::from_fn(|axis| (place[axis] + ON_POINT).floor() as usize),
+        std::array::from_fn(|axis| ((place[axis] - ON_POINT).ceil() as usize).min(grid.points[axis] - 1)),
+    ]
 }

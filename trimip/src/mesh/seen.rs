@@ -1,7 +1,7 @@
 //! Counts the cameras that see each part of a solid: follows lines of sight of every camera through the grid to the
 //! first solid point.
 
-use super::{Grid, hidden::Bits};
+use super::{Grid, hidden::Bits, threads};
 use glam::DVec3;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -35,10 +35,7 @@ impl Sightings {
         let cameras: Vec<&Camera> =
             cameras.iter().step_by(cameras.len().div_ceil(MOST_CAMERAS).max(1)).collect();
         let (next, counts) = (AtomicUsize::new(0), Mutex::new(std::mem::take(&mut own.counts)));
-        let threads = match threads {
-            0 => std::thread::available_parallelism().map_or(1, usize::from),
-            given => given,
-        };
+        let threads = threads::count(threads);
         std::thread::scope(|scope| {
             for _ in 0..threads.min(cameras.len()) {
                 scope.spawn(|| {

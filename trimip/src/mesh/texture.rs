@@ -6,6 +6,7 @@ use super::fit::{Fit, Photographs};
 use super::samples::shown;
 use super::smooth::shrunk;
 use super::surface::{Mesh, Texture};
+use super::threads;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 use trimip_core::{Camera, Error, Result, Viewer, memory::available_memory};
@@ -76,7 +77,7 @@ pub fn texture(
     if !watch(0.0) {
         return Ok(None);
     }
-    let threads = threads(what.threads);
+    let threads = threads::count(what.threads);
     let Unwrapped { mesh, coordinates, charts } = unwrap(mesh, side, &shown(mesh, what.cameras, threads)?)?;
     let texels = Texels::of(&mesh, &coordinates, side);
     let mut image = RgbImage::new(side, side);
@@ -132,14 +133,6 @@ pub fn texture(
     }
     Ok(watch(1.0)
         .then_some((mesh, Texture { coordinates, image, charts, used, photographs, shown: seen_share })))
-}
-
-/// Returns the number of threads that a setting means: 0 is one per core.
-fn threads(setting: usize) -> usize {
-    match setting {
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
-        given => given,
-    }
 }
 
 /// A mesh whose vertices on the borders of charts are duplicated, with the texture coordinates of its vertices.

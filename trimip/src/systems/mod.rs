@@ -149,7 +149,7 @@ pub const SYSTEMS: &[System] = &[
     },
     System {
         name: "ngp-down",
-        title: "Hash grid, narrow cells weighed down",
+        title: "Hash grid with downweighting",
         kind: Kind::Changed,
         settings: file!("ngp-down"),
         beside: None,
