@@ -197,8 +197,8 @@ pub struct ViewArguments {
     #[arg(long, default_value_t = 0, value_name = "N")]
     pub port: u16,
     /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops follow the cells of the occupancy grid. A switch on the page toggles between
-    /// the crop and everything
+    /// (lower and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept).
+    /// Crops follow the cells of the occupancy grid. A switch on the page toggles between the crop and everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
     /// Override a setting of data, renderer, hybrid, backend, threads or wgpu (data.root=.. for a moved data set)

@@ -86,8 +86,8 @@ pub struct WebArguments {
     #[arg(long, value_name = "DIR", default_value = "target/web")]
     pub viewer: PathBuf,
     /// Part of the world that the page initially shows, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z"
-    /// (lower and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops follow the cells of the occupancy grid. A switch on the page toggles between
-    /// the crop and everything
+    /// (lower and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept).
+    /// Crops follow the cells of the occupancy grid. A switch on the page toggles between the crop and everything
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
 }
@@ -123,7 +123,8 @@ pub struct MeshArguments {
     #[arg(long, value_name = "SHARE", conflicts_with = "triangles")]
     pub error: Option<f64>,
     /// Part of the scene to write, in world units: auto (the model's scene.crop), none, "box X,Y,Z,X,Y,Z" (lower and upper corner), "ball
-    /// X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept); the surface is open where the crop cuts it
+    /// X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept); the surface is open where the
+    /// crop cuts it
     #[arg(long, default_value = "auto", value_name = "CROP")]
     pub crop: CropChoice,
     /// Leave out triangles that fewer than N training cameras see; 0 = keep all [default: 3 in contracted space, otherwise 0]

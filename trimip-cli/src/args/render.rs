@@ -81,7 +81,8 @@ pub struct RenderArguments {
     #[arg(long, allow_hyphen_values = true)]
     pub fov: Option<f64>,
     /// Part of the world that the pictures show, in world units: none (everything), auto (the model's scene.crop), "box X,Y,Z,X,Y,Z" (lower
-    /// and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops follow the cells of the occupancy grid
+    /// and upper corner), "ball X,Y,Z,RADIUS" or "half X,Y,Z,X,Y,Z" (a point of a plane and the direction to the side that is kept). Crops
+    /// follow the cells of the occupancy grid
     #[arg(long, default_value = "none", value_name = "CROP")]
     pub crop: CropChoice,
     /// Resize the pictures, e.g. 0.5 for half the width, with the same field of view
@@ -105,7 +106,8 @@ pub struct RenderArguments {
         value_name = "color,depth,opacity"
     )]
     pub what: Vec<Quantity>,
-    /// With --path, --turntable or --flythrough: also encode the colours as a film: .mp4, .gif or .webp, or .mov, .mkv or .webm with the program ffmpeg
+    /// With --path, --turntable or --flythrough: also encode the colours as a film: .mp4, .gif or .webp, or .mov, .mkv or .webm with the
+    /// program ffmpeg
     #[arg(long, value_name = "FILE", conflicts_with_all = ["views", "pose", "look_at", "strip"])]
     pub video: Option<PathBuf>,
     /// With --video: frames per second

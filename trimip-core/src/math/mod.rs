@@ -1,6 +1,6 @@
-//! Formulas independent of scenes and devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3), deferred
-//! shading (SNeRG), spherical harmonics, soft Voronoi cells of the sphere, counter-based random numbers, sets of bits, unit vectors perpendicular to a direction, functions of
-//! symmetric matrices, rounding.
+//! Formulas independent of scenes and devices, generic over f32 and f64 ([`scalar::Real`]): compositing (NeRF Eq. 3), deferred shading
+//! (SNeRG), spherical harmonics, soft Voronoi cells of the sphere, counter-based random numbers, sets of bits, unit vectors perpendicular
+//! to a direction, functions of symmetric matrices, rounding.
 
 pub mod basis;
 pub mod bits;

@@ -56,9 +56,10 @@ pub(super) struct Fused {
     pub pictures: usize,
 }
 
-/// Renders pictures of the cameras and returns the surface on which their depths agree, within the crop. The mesh is open where no
-/// picture shows the surface, and where it hides from all but fewer than `least` of them. `watch` receives the share of the work done and returns false to stop;
-/// the result is then `None`. Memory use: the depths of the pictures (at most 205 MB), one layer of blocks, and one bit per grid point.
+/// Renders pictures of the cameras and returns the surface on which their depths agree, within the crop. The mesh is open where no picture
+/// shows the surface, and where it hides from all but fewer than `least` of them. `watch` receives the share of the work done and returns
+/// false to stop; the result is then `None`. Memory use: the depths of the pictures (at most 205 MB), one layer of blocks, and one bit per
+/// grid point.
 ///
 /// # Errors
 /// When there are no cameras, or the device fails.
